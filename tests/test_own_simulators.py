@@ -376,6 +376,13 @@ def test_a_misspelt_prior_is_told_with_the_nearest_name() -> None:
         ({"name": 5}, "name = 5: give a text"),
         ({"period": float("nan")}, "period = nan: must be positive, or None"),
         ({"simulate": lambda c, t: cup(c, t) + 1j}, "<lambda>: returns complex numbers; let it return real"),
+        ({"noise": -0.1}, "noise of y0 = -0.1: must be a positive number"),
+        ({"noise": {"tea": 0.1}}, "noise of 'tea': unknown; .*use one of y0"),
+        ({"noise": 0.1, "errors": zoo.Cosines()}, "noise = 0.1: errors are given too"),
+        (
+            {"noise": 0.1, "measured": [MINUTES, tea().values[0]], "units": ["s", "K"]},
+            r"noise = 0.1: the series are in s, K; give one for each, such as \{'y0'",
+        ),
     ],
 )
 def test_what_does_not_fit_the_short_case_is_told(change: dict[str, Any], told: str) -> None:
@@ -941,3 +948,14 @@ def test_a_baseline_farther_away_than_the_data_vary_is_said_not_to_fit() -> None
     found = zoo.diagnose(np.arange(40.0), values, lambda c, t: c["level"] + 0.0 * t, near, progress=False)
     assert any("of their range: check" in text for text in found.file.warnings)
     assert "does not fit" not in found.file.verdict
+
+
+def test_a_known_noise_is_that_of_the_errors() -> None:
+    values = tea(steam=6e-4).values
+    settings = {"labels": ["tea"], "progress": False, "cores": 1}
+    first, *others = [
+        zoo.diagnose(MINUTES, values, cup, PRIOR_BY_NAME, [STEAM], **given, **settings)
+        for given in ({"errors": zoo.Cosines(known={"tea": 0.3})}, {"noise": 0.3}, {"noise": {"tea": 0.3}})
+    ]
+    assert first.file.gap.noise_floor == pytest.approx(0.3, rel=0.05)
+    assert all(one.table == first.table for one in others)

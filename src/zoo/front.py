@@ -18,7 +18,7 @@ from zoo.core.data import Data, own_clocks
 from zoo.core.diagnosis import Diagnosis, Hooks, OtherState
 from zoo.core.diagnosis.diagnosis import refuse_twice
 from zoo.core.effects import Effect
-from zoo.core.errors.spectral import Spectral
+from zoo.core.errors.spectral import Spectral, spectral_errors
 from zoo.core.forward import ForwardModel, FunctionModel, Outputs, at_all_times
 from zoo.core.parameters import Parameter, Prior, as_parameters
 from zoo.core.user_code import unfit
@@ -52,6 +52,7 @@ class Running(TypedDict, total=False):
 class Weighing(Running, total=False):
     """What a diagnosis of other data than a study is told, too."""
 
+    noise: float | Mapping[str, float] | None
     errors: Spectral | None
     hooks: Hooks | None
 
@@ -150,6 +151,9 @@ def diagnose(*arguments: Any, **settings: Any) -> Any:
         Series of several groups, or with another unit of time.
     model : ForwardModel
         A simulator with parameters and priors of its own; its outputs are the data's series and times.
+    noise : float or mapping, optional
+        Sd of the white noise where it is known, as of a data sheet, in the unit of the series; of series in
+        several units by their labels, ``{"tea": 0.1}``. It is fitted where it is absent.
     errors : Harmonics or Cosines, optional
         Noise and discrepancy of periodic series, and of others; chosen by the data if absent.
     hooks : Hooks, optional
@@ -236,6 +240,7 @@ def _diagnose_series(
     period: float | None = None,
     name: str = "data",
     held_out: Mapping[str, tuple[ArrayLike, ArrayLike, Simulate]] | None = None,
+    noise: float | Mapping[str, float] | None = None,
     **settings: Any,
 ) -> Diagnosis:
     parameters = as_parameters(priors)
@@ -268,7 +273,7 @@ def _diagnose_series(
         clock = np.asarray(every[0] if own_clocks(t) else t)
         own = None if period is None else len(clock) * float(np.min(np.diff(clock)))
         others.append(bound(other, t, values, function, own))
-    return _diagnose_data(here.data, here.model, effects, states=others, **settings)
+    return _diagnose_data(here.data, here.model, effects, states=others, noise=noise, **settings)
 
 
 def _at_given_times(data: Data, model: ForwardModel) -> ForwardModel:
@@ -290,8 +295,21 @@ def _diagnose_data(
     *,
     states: Sequence[OtherState] = (),
     hooks: Hooks | None = None,
+    noise: float | Mapping[str, float] | None = None,
     **settings: Any,
 ) -> Diagnosis:
+    if noise is not None:
+        if not isinstance(noise, Mapping) and len(units := dict.fromkeys(data.units)) > 1:
+            raise diagnosis.DiagnosisError(
+                f"noise = {noise!r:.60}: the series are in {', '.join(units)}; give one for each, such as "
+                f"{{{data.groups[0]!r}: 0.1}}"
+            )
+        if settings.get("errors") is not None:
+            raise diagnosis.DiagnosisError(
+                f"noise = {noise!r:.60}: errors are given too; state it in these, by `known`"
+            )
+        known = noise if isinstance(noise, Mapping) else dict.fromkeys(data.groups, noise)
+        settings["errors"] = replace(spectral_errors(data), known=known)
     model = _at_given_times(data, model)
     states = [replace(one, model=_at_given_times(one.data, one.model)) for one in states]
     if isinstance(effects, Effect | FunctionOf):

@@ -19,10 +19,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.fft import dct, idct
 from scipy.linalg import helmert
 
-from zoo.core.arrays import Array
+from zoo.core.arrays import Array, real_number
 from zoo.core.data import Data
 from zoo.core.errors.base import DIMS, ErrorModel, ErrorModelError
 from zoo.core.parameters import LogNormal, Normal, Parameter, Prior, variable_name
+from zoo.core.words import nearest
 
 SMALLEST_SERIES = 8
 FINE = 0.6
@@ -121,8 +122,12 @@ class Spectral(ErrorModel):
         Raises
         ------
         ErrorModelError
-            If there are no series, or fewer than eight samples.
+            If there are no series, or fewer than eight samples; if a known sd is of no group or not positive.
         """
+        for group, sd in self.known.items():
+            if group not in data.groups:
+                raise ErrorModelError(f"noise of {group!r}: {nearest(group, list(data.rows))}")
+            real_number(f"noise of {group}", sd, "a positive number", above=0.0, error=ErrorModelError)
         least = min(data.measured.sum(axis=1), default=0)
         if not data.n_series or least < SMALLEST_SERIES:
             raise ErrorModelError(
