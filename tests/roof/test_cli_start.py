@@ -45,6 +45,33 @@ def test_commands_import_nothing_heavy_before_they_run() -> None:
     assert done.stdout.strip() == "[]"
 
 
+@pytest.mark.parametrize(
+    ("typed", "found"),
+    [
+        ("simulate demo", ["demo", "demo-gap"]),
+        ("report demo mouse-h", ["mouse-h1"]),
+        ("sample B", ["B"]),
+        ("sample A demo --effects stenosis,viscoelastic-w", ["stenosis,viscoelastic-wall"]),
+        ("compare demo --models A,B+viscoelastic-w", ["A,B+viscoelastic-wall"]),
+        ("effects viscoelastic-w", ["viscoelastic-wall"]),
+    ],
+)
+def test_a_shell_completes_names_without_what_is_heavy(typed: str, found: list[str]) -> None:
+    code = (
+        "import atexit, sys; from zoo.cli import app; heavy = {'pymc', 'arviz', 'matplotlib', 'scipy'}; "
+        "atexit.register(lambda: print(sorted(heavy & set(sys.modules)))); app(prog_name='zoo')"
+    )
+    asked = {"_ZOO_COMPLETE": "complete_bash", "COMP_WORDS": f"zoo {typed}"}
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | asked | {"COMP_CWORD": str(len(typed.split()))},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.split("\n") == [*found, "[]", ""]
+
+
 def test_version() -> None:
     assert run("--version").strip() == f"zoo {zoo.__version__}"
     output = run("version")

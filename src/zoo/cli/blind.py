@@ -42,6 +42,7 @@ def make(
     effects: str | None = option(
         None,
         "Draw from these, with commas; from all of `zoo effects` if absent.",
+        Role.EFFECTS,
         Role.ASIDE,
         metavar="NAMES",
     ),
@@ -81,7 +82,7 @@ def make(
 def run(
     cases: Path = argument("CASES", "Folder of studies, without their key."),
     output: Path = option(Path("answers"), "Folder for the answers.", "--output", "-o", Role.WRITES),
-    base: str = option("linear-constant", "Baseline, as in `zoo diagnose`."),
+    base: str = option("linear-constant", "Baseline, as in `zoo diagnose`.", Role.MODELS),
     seed: int = option(1, "Random seed."),
     cores: int = option(2, "Cases at a time, a process each.", Role.ASIDE),
     dask: str | None = DASK,

@@ -57,9 +57,36 @@ class Role(Enum):
     SEARCHED = auto()
     """Files, or folders in which posteriors are looked for, the working folder if absent; other files may be
     written beside these."""
+    MODELS = auto()
+    """Models, with commas, and after "+" what they have beside."""
+    EFFECTS = auto()
+    """Effects, with commas."""
     ASIDE = auto()
     """With another value it is the same run."""
 
+
+def _studies(typed: str) -> list[str]:
+    from zoo.blood.study import list_studies
+
+    return [name for name in list_studies() if name.startswith(typed)]
+
+
+def _effects(typed: str) -> list[str]:
+    from zoo.blood.effects import CATALOGUE
+
+    before, last = re.fullmatch(r"(.*[,+])?(.*)", typed).groups("")  # type: ignore[union-attr]
+    return [before + name for name in CATALOGUE if name.startswith(last)]
+
+
+def _models(typed: str) -> list[str]:
+    from zoo.models import MODELS
+
+    before, last = re.fullmatch(r"(.*,)?(.*)", typed).groups("")  # type: ignore[union-attr]
+    return _effects(typed) if "+" in last else [before + name for name in MODELS if name.startswith(last)]
+
+
+COMPLETED = {Role.STUDY: _studies, Role.EFFECTS: _effects, Role.MODELS: _models}
+"""Functions from what is typed to what a shell completes it to."""
 
 REQUIRED: Any = MISSING
 """In the place of a default: the option must be given."""
@@ -317,8 +344,9 @@ def _parameter(name: str, kind: Any, given: Field[Any], roles: tuple[Role, ...] 
     flags = [one for one in said if isinstance(one, str)]
     if told["kind"] is typer.Option and not flags:
         flags = [f"--{name.replace('_', '-')}"]
-    known = told["kind"](*flags, help=told["text"], metavar=told["metavar"])
     roles = *(one for one in said if isinstance(one, Role)), *roles
+    complete = next((COMPLETED[role] for role in roles if role in COMPLETED), None)
+    known = told["kind"](*flags, help=told["text"], metavar=told["metavar"], autocompletion=complete)
     default = inspect.Parameter.empty if given.default is REQUIRED else given.default
     annotation = Annotated[(kind, known, *roles)]
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)

@@ -28,7 +28,9 @@ def compare(
     studies: list[str] = argument(
         "STUDY...", "Built-in studies (see `zoo studies`) or folders; a table each.", Role.STUDY
     ),
-    models: str = option("A,B", "With commas, such as A,B or B,B+viscoelastic-wall.", Role.ASIDE),
+    models: str = option(
+        "A,B", "With commas, such as A,B or B,B+viscoelastic-wall.", Role.MODELS, Role.ASIDE
+    ),
     posteriors: list[Path] | None = option(
         None,
         "A file, or a folder of files, from `zoo sample`; may be repeated. A.nc or A-STUDY.nc and "

@@ -38,6 +38,7 @@ def diagnose(
         "linear-constant",
         "Baseline: linear-constant, linear-radius, tangent-constant, tangent-radius, or a model "
         "with that structure: A to I.",
+        Role.MODELS,
     ),
     output: Path = option(
         Path("gap"), "Folder for page, figures and diagnosis.json.", "--output", "-o", Role.WRITES
@@ -49,6 +50,7 @@ def diagnose(
     effects: str | None = option(
         None,
         "Only these, with commas; all of `zoo effects` that fit the baseline if absent.",
+        Role.EFFECTS,
         metavar="NAMES",
     ),
     component_sizes: float = option(
@@ -68,6 +70,7 @@ def diagnose(
         None,
         "End with exit code 3 unless the answer is decided and this cause or component, or "
         "`nothing`, has more than 50 %; may be given several times.",
+        Role.EFFECTS,
         Role.ASIDE,
         metavar="NAME",
     ),

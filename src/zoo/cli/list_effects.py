@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
-from zoo.cli.command import Without, argument, command
+from zoo.cli.command import Role, Without, argument, command
 from zoo.cli.options import JSON, PluginOptions
 from zoo.cli.screen import plain_table, say, say_json
 
@@ -23,7 +23,9 @@ LOCATION_WORDS = {
 
 @command
 def effects(
-    name: str | None = argument("[NAME]", "One effect, such as viscoelastic-wall.", default=None),
+    name: str | None = argument(
+        "[NAME]", "One effect, such as viscoelastic-wall.", Role.EFFECTS, default=None
+    ),
     as_json: bool = JSON,
     *,
     plugins: Annotated[PluginOptions, Without("models_from")],

@@ -23,7 +23,7 @@ def report(
         None, "Folder of posteriors; may be repeated. Here if absent.", Role.SEARCHED
     ),
     output: Path = option(Path("report.html"), "HTML file.", "--output", "-o", Role.WRITES),
-    models: str = option("A,B,C,D,E,F,G,H,I", "Those to take, with commas."),
+    models: str = option("A,B,C,D,E,F,G,H,I", "Those to take, with commas.", Role.MODELS),
     criterion: Literal["waic", "loo"] = option("waic", "Criterion to rank by: waic or loo.", "--ic"),
     n_draws: int = option(1000, "Draws of each posterior that are scored."),
     solves: Path | None = option(

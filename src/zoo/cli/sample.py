@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @command
 def sample(
-    model: str = argument("MODEL", "A to I, or one of --models-from."),
+    model: str = argument("MODEL", "A to I, or one of --models-from.", Role.MODELS),
     studies: list[str] = argument(
         "STUDY...",
         "A built-in study (see `zoo studies`) or a folder; several are subjects of one posterior.",
@@ -43,6 +43,7 @@ def sample(
         None,
         "Put these into the model, with commas: viscoelastic-wall,local-stiffness@2 (vessel 2; 2+ "
         "with all below). The model's name becomes MODEL+EFFECT.",
+        Role.EFFECTS,
         metavar="NAMES",
     ),
     share: str | None = option(

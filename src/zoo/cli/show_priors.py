@@ -23,7 +23,7 @@ LEAST_SOLVED = 0.8
 @command
 def priors(
     study: str = STUDY,
-    model: str = option("B", "A to I, or one of --models-from."),
+    model: str = option("B", "A to I, or one of --models-from.", Role.MODELS),
     output: Path | None = option(
         None, "Folder for table, figures; none if absent.", "--output", "-o", Role.WRITES
     ),

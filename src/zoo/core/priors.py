@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import log_ndtr
 
 from zoo.core.arrays import Array
 from zoo.core.draws import LARGEST_DRAW, inverse_gamma_draws
@@ -32,6 +31,8 @@ def log_normal_mass(low: Any, high: Any) -> Any:
 
 def log_normal_tails(low: Any, high: Any) -> tuple[Any, Any]:
     """log Phi of both ends; right of 0 those of their mirror images, since the left tail has the digits."""
+    from scipy.special import log_ndtr  # late: names of effects are completed without SciPy
+
     return log_ndtr(np.where(low > 0, -high, low)), log_ndtr(np.where(low > 0, -low, high))
 
 
@@ -458,7 +459,7 @@ class Population(_Hierarchical):
         v = float(given[self.variance])
         x = np.asarray(x, dtype=np.float64)
         z, n, t = (x - mean) / sd, len(x), mean / sd
-        ratio = math.exp(-0.5 * t * t - 0.5 * math.log(2 * math.pi) - float(log_ndtr(t)))
+        ratio = math.exp(-0.5 * t * t - 0.5 * math.log(2 * math.pi) - float(log_normal_mass(-math.inf, t)))
         bend = -ratio * (t + ratio)  # first and second derivative of log Phi(t)
         squares = float(np.sum(z * z))
         first = np.array([np.sum(z) / sd - n * ratio / sd, (squares - n + n * ratio * t) / (2.0 * v)])
