@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 import multiprocessing
 import pickle
+import resource
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -218,6 +220,18 @@ def test_our_own_functions_keep_what_they_have_solved(study: Any) -> None:
     for _ in range(3):
         logp(q)
     assert model.zoo.op.counts["solves"] == solves + 1
+
+
+def test_memory_of_a_solve_with_slopes_is_kept_for_the_next() -> None:
+    """By the pages that the system gives to a third call, beside those that it takes."""
+    op = zoo.model_B(zoo.load_study("demo")).zoo.op
+    theta = pack(op.model.parameters, start_of(op.model.parameters))
+    for _ in range(3):
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+        op.in_numba.differentiate(theta)
+        given = (resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before) * resource.getpagesize()
+    [address] = [x for x in op.in_numba.keeps[1].addresses.tolist() if x]
+    assert given < ctypes.c_int64.from_address(address).value / 4
 
 
 # failures

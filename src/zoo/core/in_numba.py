@@ -63,16 +63,23 @@ def own(method: str, given: Any) -> Any:
     return getattr(given, method)() if method in vars(type(given)) else None
 
 
-@intrinsic
-def add_one(typingctx, address):  # type: ignore[no-untyped-def]
-    """Count in the 64-bit number at an address, whatever other threads do."""
+def _atomic(operation: str) -> Any:
+    """A function of an address and n, which gives what stands there and adds n, or puts n in its place."""
 
-    def code(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        [address] = args
-        at = builder.inttoptr(address, address.type.as_pointer())
-        return builder.atomic_rmw("add", at, address.type(1), "monotonic")
+    @intrinsic
+    def change(typingctx, address, number):  # type: ignore[no-untyped-def]
+        def code(context, builder, signature, args):  # type: ignore[no-untyped-def]
+            address, number = args
+            at = builder.inttoptr(address, address.type.as_pointer())
+            return builder.atomic_rmw(operation, at, number, "seq_cst")
 
-    return numba.types.int64(numba.types.int64), code
+        return numba.types.int64(numba.types.int64, numba.types.int64), code
+
+    return change
+
+
+add, exchange = _atomic("add"), _atomic("xchg")
+"""With the 64-bit number at an address, whatever other threads do."""
 
 
 def called_as_python(op_class: OpClass) -> OpClass:

@@ -23,7 +23,7 @@ from pytensor.tensor.variable import TensorVariable
 from zoo.core.arrays import Array, real_array
 from zoo.core.derivatives import has_jacobian, jacobian
 from zoo.core.forward import ForwardModel, InNumba, SolveError, content_key
-from zoo.core.in_numba import add_one, called_as_python, compiled_by, joined, own, without_python
+from zoo.core.in_numba import add, called_as_python, compiled_by, joined, own, without_python
 from zoo.core.parameters import n_values
 
 CACHE_SIZE = 8
@@ -423,9 +423,9 @@ class SolveOp(Op):
 
         @numba_njit
         def noted(status):  # type: ignore[no-untyped-def]
-            add_one(counts)
+            add(counts, 1)
             if status != 0:
-                add_one(counts + 8 * status)
+                add(counts + 8 * status, 1)
             return np.asarray(np.int8(status == 0))
 
         @numba_njit
