@@ -11,9 +11,12 @@ import tarfile
 import tomllib
 import venv
 from importlib.machinery import EXTENSION_SUFFIXES
+from itertools import chain
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 import zoo
 from zoo.core.arviz_lines import ARVIZ_1
@@ -30,6 +33,21 @@ command = distribution.get_command_obj("bdist_wheel")
 command.ensure_finalized()
 print("-".join(command.get_tag()[:2]))
 """
+
+
+@pytest.mark.parametrize(
+    ("lock", "python"), [("requirements.lock", "3.11"), ("requirements-py313.lock", "3.13")]
+)
+def test_a_lock_file_has_a_version_of_all_that_a_line_needs_and_may_have(lock: str, python: str) -> None:
+    lines = (ROOT / lock).read_text(encoding="utf-8").splitlines()
+    pinned = (line.split("==") for line in lines if not line.startswith("#"))
+    locked = {canonicalize_name(name): version for name, version in pinned}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    for text in chain(project["dependencies"], *project["optional-dependencies"].values()):
+        needed = Requirement(text)
+        asked = needed.marker is None or needed.marker.evaluate({"python_version": python})
+        if asked and needed.name != project["name"]:
+            assert needed.specifier.contains(locked[canonicalize_name(needed.name)]), needed
 
 
 @pytest.mark.skipif(".abi3.so" not in EXTENSION_SUFFIXES, reason="no stable interface on this platform")
