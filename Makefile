@@ -36,8 +36,9 @@ test-all: native-test
 test-nightly: setup
 	$(BIN)/pytest $(PYTEST_ARGS) -m nightly $(APART)
 
-# A Python of PyMC's later line. Candidates are run, since a shim without its Python is there too.
-LATER = $(shell for one in python3.13 python3.12 $${PYENV_ROOT:-$$HOME/.pyenv}/versions/3.1[23]*/bin/python3; do \
+# A Python of PyMC's later line, the last that is found. Candidates are run, since a shim without its Python is there
+# too; 3.14, which is allowed and not claimed, if there is no other.
+LATER = $(shell for one in python3.14 python3.13 python3.12 $${PYENV_ROOT:-$$HOME/.pyenv}/versions/3.1[23]*/bin/python3; do \
     "$$one" -c 'import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 12))' 2>/dev/null && echo "$$one"; \
     done | tail -n 1)
 ON_LATER = test -n "$(LATER)" || { echo "no Python 3.12 or later runs here, which PyMC 6 needs: install one" >&2; exit 1; }; \
