@@ -65,7 +65,7 @@ durations: setup
 
 # What takes too long for each change.
 nightly: readme installed report mutants test-nightly test-all-next
-	@$(ON_LATER) readme installed
+	@$(ON_LATER) readme installed test-nightly
 	$(MAKE) --no-print-directory fuzz FUZZ_SECONDS=1200
 
 # What README.md shows, as it stands, with the time of each block: five minutes on two cores.
