@@ -140,11 +140,11 @@ class Discrepancy:
 
     Parameters
     ----------
-    draws : array (n_draws, n_series, n_times)
-        NaN where not measured.
+    draws : array (n_draws, n)
+        Of the samples that were measured, series after series.
     weights : array (n_draws,)
     residual : array (n_series, n_times)
-        Measured minus computed.
+        Measured minus computed; NaN where not measured.
     """
 
     draws: Array = field(repr=False)
@@ -154,17 +154,23 @@ class Discrepancy:
     @property
     def mean(self) -> Array:
         """(n_series, n_times)."""
-        return np.asarray(np.tensordot(self.weights, self.draws, 1) / self.weights.sum())
+        return self._placed(self.weights @ self.draws / self.weights.sum())
 
     @property
     def sd(self) -> Array:
         """(n_series, n_times)."""
-        squares = np.tensordot(self.weights, self.draws**2, 1) / self.weights.sum()
+        squares = self._placed(self.weights @ self.draws**2 / self.weights.sum())
         return np.asarray(np.sqrt(np.maximum(squares - self.mean**2, 0.0)))
+
+    def _placed(self, samples: Array) -> Array:
+        found = np.full(self.residual.shape, np.nan)
+        found[~np.isnan(self.residual)] = samples
+        return found
 
     def rms(self, rows: Sequence[int]) -> Array:
         """Over some series together, (n_draws,)."""
-        return np.asarray(np.sqrt(np.nanmean(self.draws[:, list(rows)] ** 2, axis=(1, 2))))
+        series, _ = np.nonzero(~np.isnan(self.residual))
+        return np.asarray(np.sqrt(np.mean(self.draws[:, np.isin(series, rows)] ** 2, axis=1)))
 
     def interval(self, rows: Sequence[int]) -> Interval:
         """Of that rms."""
@@ -175,15 +181,17 @@ def discrepancies(drawn: CauseDraws) -> tuple[Discrepancy, Discrepancy]:
     """Of the baseline over all sets, and of the leading set: what it leaves."""
     found = drawn.found
     errors, base = found.search.family.errors, found.search.fitting.start  # what a best fit misses
-    truth, weights = together(drawn.sets, lambda one: one.computed + one.left - base.computed)
     residual = errors.unflat(found.search.data - base.computed)
-    before = Discrepancy(errors.unflat(truth), weights, residual)
+    there = ~np.isnan(residual)
+    truth, weights = together(  # set by set: series with clocks of their own are mostly gaps
+        drawn.sets, lambda one: errors.unflat(one.computed + one.left - base.computed)[:, there]
+    )
+    before = Discrepancy(truth, weights, residual)
     leader = next(one for one in drawn.sets if one.which == found.leader)
     if not found.leader:
         return before, before
     point = leader.solved.point
     left = leader.computed + leader.left - point.computed
-    after = Discrepancy(
-        errors.unflat(left), leader.weights, errors.unflat(found.search.data - point.computed)
-    )
+    residual = errors.unflat(found.search.data - point.computed)
+    after = Discrepancy(errors.unflat(left)[:, there], leader.weights, residual)
     return before, after
