@@ -267,7 +267,7 @@ def test_what_a_set_leaves_is_that_of_a_solve_at_its_mode() -> None:
     """The kick alone, where the law is bent; no fit by least squares leaves more."""
     found = found_in(BULGED, [], errors=Harmonics(known={"y": NOISE}))
     [which] = [w for w in found.sets.solved if found.sets.name(w) == "kick"]
-    [gap] = found.sets.gap_after(which)
+    gap = found.sets.gap_after(which, found.data.groups)
     one, noise = found.sets.solved[which], found.sets.noise["y"]
 
     def left(x: np.ndarray) -> np.ndarray:
@@ -620,6 +620,6 @@ def test_the_leading_set_is_in_the_table_however_improbable(
     bulged: Diagnosis, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("zoo.core.diagnosis.answer.LEAST", 2.0)
-    rows, p = table_of(bulged.sets, 0)
+    rows, p = table_of(bulged.sets, bulged.data.groups[:1])
     assert set(p) == {(), bulged.sets.leader}
     assert [row.causes for row in rows] == [bulged.cause, []]

@@ -235,9 +235,9 @@ def test_the_page_runs_from_top_to_bottom(
     names: dict[str, Any] = {"__name__": "page"}
     for code in re.findall(r"^```python\n(.*?)^```", text, flags=re.S | re.M):
         exec(compile(code, "bring-your-own-simulator.md", "exec"), names)
-    shown = re.search(r"print\(found\.file\.verdict\)\n```\n\n```text\n(.*?)\n```", text, flags=re.S)
-    assert shown
-    assert shown[1] in capsys.readouterr().out
+    shown = re.findall(r"print\(\w+\.file\.verdict\)\n```\n\n```text\n(.*?)\n```", text, flags=re.S)
+    assert len(shown) == 2
+    assert capsys.readouterr().out.splitlines()[:2] == shown
     found = names["found"]
     assert found.cause == ["evaporation"]
     chance = {cause.name: cause for cause in found.causes}
@@ -245,6 +245,10 @@ def test_the_page_runs_from_top_to_bottom(
     [rate] = found.causes[0].estimates
     assert rate.mean == pytest.approx(1e-5, abs=3 * rate.sd)
     assert (tmp_path / "diagnosis" / "diagnosis.json").is_file()
+    rates = names["both"].file.base_parameters["over all sets"]
+    for name, rate in (("k[large]", 1.0e-3), ("k[small]", 1.4e-3), ("room", 21.0)):
+        low, high = rates[name].interval
+        assert low < rate < high
     growth = names["growth"]
     assert growth.solve(growth.configure([0.1, 50.0])).shape == (1, 51)
 

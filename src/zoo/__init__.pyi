@@ -19,6 +19,7 @@ from .core.errors.student import GroupStudent as GroupStudent
 from .core.forward import ForwardModel as ForwardModel
 from .core.forward import FunctionModel as FunctionModel
 from .core.forward import Outputs as Outputs
+from .core.experiments import ExperimentError as ExperimentError
 from .core.forward import SolveError as SolveError
 from .core.forward import from_pints as from_pints
 from .core.parameters import Parameter as Parameter

@@ -19,6 +19,7 @@ from zoo.core.diagnosis import Diagnosis, Hooks, OtherState
 from zoo.core.diagnosis.diagnosis import refuse_twice
 from zoo.core.effects import Effect
 from zoo.core.errors.spectral import Spectral, spectral_errors
+from zoo.core.experiments import Experiments
 from zoo.core.forward import ForwardModel, FunctionModel, Outputs, at_all_times
 from zoo.core.parameters import Parameter, Prior, as_parameters
 from zoo.core.user_code import unfit
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
 Simulate = Callable[[dict[str, Any], Array], ArrayLike]
 Priors = Mapping[str, Prior | Parameter] | Mapping[str, Any]
 Causes = Sequence[Effect | FunctionOf] | Effect | FunctionOf
+Record = tuple[ArrayLike, ArrayLike, Simulate]
+"""Times, what was measured then, and the simulator of one experiment."""
 
 
 class Running(TypedDict, total=False):
@@ -84,6 +87,36 @@ def diagnose(
 
 @overload
 def diagnose(
+    studies: Sequence[Study | str],
+    base: str = "linear-constant",
+    *,
+    share: Iterable[str] = (),
+    effects: Iterable[str | Effect] | None = None,
+    conventions: Conventions | None = None,
+    options: SolverOptions | None = None,
+    priors: Mapping[str, Any] | None = None,
+    fixed: Mapping[str, float] | None = None,
+    component_sizes: float = 1.0,
+    **settings: Unpack[Running],
+) -> Diagnosis: ...
+
+
+@overload
+def diagnose(
+    experiments: Mapping[str, Record] | Sequence[Record],
+    priors: Priors,
+    effects: Causes = (),
+    *,
+    share: Iterable[str] = (),
+    labels: Sequence[str] = (),
+    units: Sequence[str] = (),
+    period: float | None = None,
+    **settings: Unpack[Weighing],
+) -> Diagnosis: ...
+
+
+@overload
+def diagnose(
     data: Data,
     model: ForwardModel,
     effects: Causes = (),
@@ -105,7 +138,7 @@ def diagnose(
     units: Sequence[str] = (),
     period: float | None = None,
     name: str = "data",
-    held_out: Mapping[str, tuple[ArrayLike, ArrayLike, Simulate]] | None = None,
+    held_out: Mapping[str, Record] | None = None,
     **settings: Unpack[Weighing],
 ) -> Diagnosis: ...
 
@@ -114,11 +147,17 @@ def diagnose(*arguments: Any, **settings: Any) -> Any:
     """Find what a simulator lacks that data show, with a probability for every set of causes.
 
     p(S | y) is proportional to p(S) p(y | S), S a set of causes: effects and free functions, beside noise and
-    a discrepancy that belongs to no cause. There are three ways to call it::
+    a discrepancy that belongs to no cause. There are five ways to call it::
 
         diagnose(times, measured, simulate, priors, effects)    any function that simulates
+        diagnose({"name": (times, measured, simulate), ...}, priors, effects, share=[...])
+                                                                several experiments together
         diagnose(data, model, effects)                          a `Data` and a `ForwardModel`
         diagnose(study, base)                                   a study of blood flow, or its name
+        diagnose([study, study, ...], base, share=[...])        several together
+
+    Of several experiments a cause acts in all, with one size, and there is one posterior over sets of causes
+    given all of them. A quantity has one noise in all, unless `errors` states that of "name/series".
 
     Parameters
     ----------
@@ -147,6 +186,12 @@ def diagnose(*arguments: Any, **settings: Any) -> Any:
     held_out : mapping, optional
         Other records of the same system, ``{"name": (times, measured, simulate)}``. What was learned is fixed
         and checked there; they change no probability.
+    experiments : mapping, or sequence
+        ``{"name": (times, measured, simulate)}``, each with a simulator that knows its input; named "1", "2"
+        and so on in a sequence.
+    share : sequence of str
+        Parameters of several experiments or studies that are one for all. All others are of each, such as
+        "height[name]", with the same prior.
     data : Data
         Series of several groups, or with another unit of time.
     model : ForwardModel
@@ -160,6 +205,8 @@ def diagnose(*arguments: Any, **settings: Any) -> Any:
         Phases of the record, candidate measurements, words of the field.
     study : Study or str
         As `zoo.load_study` gives it or takes its name.
+    studies : sequence of Study or str
+        Several of them, of trees in which the same effects can act.
     base : str
         Baseline: the letter of a model, or "linear-constant", "linear-radius", "linear-vessels",
         "tangent-constant", "tangent-radius".
@@ -200,6 +247,8 @@ def diagnose(*arguments: Any, **settings: Any) -> Any:
         If an argument is out of range, a series does not vary, or the baseline cannot be fitted.
     DataError
         If times and measured values do not fit together.
+    ExperimentError
+        If several experiments cannot be taken as one.
     TypeError
         For a setting that does not exist.
 
@@ -215,12 +264,25 @@ def diagnose(*arguments: Any, **settings: Any) -> Any:
     """
     from zoo.blood.study import Study, load_study
     from zoo.blood.study_diagnosis import diagnose as diagnose_study
+    from zoo.blood.study_diagnosis import diagnose_studies
 
-    first = arguments[0] if arguments else settings.get("study", settings.get("data"))
+    kinds = ("study", "studies", "data", "experiments")
+    first = arguments[0] if arguments else next((settings[one] for one in kinds if one in settings), None)
     function: Any = _diagnose_data if isinstance(first, Data) else _diagnose_series
+    items = [*first] if isinstance(first, list | tuple) else []
+    pairs = (one for one in items if isinstance(one, tuple))
+    if isinstance(first, Mapping) or any(callable(x) or np.ndim(x) for pair in pairs for x in pair):
+        function = _diagnose_experiments
     known = [*inspect.signature(function).parameters, *inspect.signature(diagnosis.diagnose).parameters]
     if isinstance(first, str | Study):
         function, known = diagnose_study, [*inspect.signature(diagnose_study).parameters]
+    elif any(isinstance(one, str | Study) for one in items):
+        function, known = (
+            diagnose_studies,
+            [*inspect.signature(diagnose_studies).parameters, *Running.__annotations__],
+        )
+        items = [load_study(one) if isinstance(one, str) else one for one in items]
+        arguments, settings = (items, *arguments[1:]), {k: v for k, v in settings.items() if k != "studies"}
     refuse_unknown("diagnose", settings, [name for name in known if name != "settings"])
     inspect.signature(function).bind(*arguments, **settings)  # names what is missing
     if isinstance(first, str):
@@ -239,41 +301,89 @@ def _diagnose_series(
     units: Sequence[str] = (),
     period: float | None = None,
     name: str = "data",
-    held_out: Mapping[str, tuple[ArrayLike, ArrayLike, Simulate]] | None = None,
-    noise: float | Mapping[str, float] | None = None,
+    held_out: Mapping[str, Record] | None = None,
     **settings: Any,
 ) -> Diagnosis:
     parameters = as_parameters(priors)
+    here = _bound(name, (times, measured, simulate), parameters, labels, units, period)
+    records = _records("held_out", {} if held_out is None else held_out)
+    others = _bound_all(records, parameters, labels, units, period)
+    return _diagnose_data(here.data, here.model, effects, states=others, **settings)
 
-    def bound(
-        name: str, times: ArrayLike, measured: ArrayLike, simulate: Simulate, period: float | None
-    ) -> OtherState:
-        if wrong := unfit(simulate, 2):
-            raise diagnosis.DiagnosisError(
-                f"simulate = {simulate!r:.60}: is called as simulate(parameters, times), with a dict of "
-                f"parameters by name: {wrong}"
-            )
-        data = Data(times, measured, labels, units, period=period, name=name)  # type: ignore[arg-type]
-        called = getattr(simulate, "__name__", "simulator")
-        outputs = Outputs(tuple(data.outputs), data.times)
-        return OtherState(data, FunctionModel(simulate, parameters, outputs, called))
 
-    here = bound(name, times, measured, simulate, period)
-    others = []
-    records = {} if held_out is None else held_out
-    if not isinstance(records, Mapping) or not all(
+def _diagnose_experiments(
+    experiments: Mapping[str, Record] | Sequence[Record],
+    priors: Priors,
+    effects: Causes = (),
+    *,
+    share: Iterable[str] = (),
+    labels: Sequence[str] = (),
+    units: Sequence[str] = (),
+    period: float | None = None,
+    hooks: Hooks | None = None,
+    errors: Spectral | None = None,
+    **settings: Any,
+) -> Diagnosis:
+    if not isinstance(experiments, Mapping):
+        experiments = {str(i): one for i, one in enumerate(experiments, 1)}
+    bound = _bound_all(_records("experiments", experiments), as_parameters(priors), labels, units, period)
+    models = {one.data.name: _at_given_times(one.data, one.model) for one in bound}
+    own_noise = any("/" in group for group in (errors.known if isinstance(errors, Spectral) else ()))
+    several = Experiments(models, {one.data.name: one.data for one in bound}, share, own_noise)
+    hooks = hooks or Hooks()
+    hooks = replace(hooks, about=several.about(hooks.about if isinstance(hooks.about, str) else ""))
+    return _diagnose_data(several.data, several, effects, hooks=hooks, errors=errors, **settings)
+
+
+def _records(field: str, given: Any) -> Mapping[str, Record]:
+    """Records by name, each of times, measured values and a simulator."""
+    if not isinstance(given, Mapping) or not all(
         isinstance(one, str) and one and isinstance(x, tuple | list) and len(x) == 3
-        for one, x in records.items()
+        for one, x in given.items()
     ):
         raise diagnosis.DiagnosisError(
-            f"held_out = {records!r:.60}: give a dict of records, {{'name': (times, measured, simulate)}}"
+            f"{field} = {given!r:.60}: give a dict of records, {{'name': (times, measured, simulate)}}"
         )
-    for other, (t, values, function) in records.items():
-        every: Any = t
-        clock = np.asarray(every[0] if own_clocks(t) else t)
+    return given
+
+
+def _bound_all(
+    records: Mapping[str, Record],
+    parameters: tuple[Parameter, ...],
+    labels: Sequence[str],
+    units: Sequence[str],
+    period: float | None,
+) -> list[OtherState]:
+    """Several records with their simulators; one that repeats itself covers its own period once."""
+    found = []
+    for name, record in records.items():
+        every: Any = record[0]
+        clock = np.asarray(every[0] if own_clocks(every) else every)
         own = None if period is None else len(clock) * float(np.min(np.diff(clock)))
-        others.append(bound(other, t, values, function, own))
-    return _diagnose_data(here.data, here.model, effects, states=others, noise=noise, **settings)
+        found.append(_bound(name, record, parameters, labels, units, own))
+    return found
+
+
+def _bound(
+    name: str,
+    record: Record,
+    parameters: tuple[Parameter, ...],
+    labels: Sequence[str],
+    units: Sequence[str],
+    period: float | None,
+) -> OtherState:
+    """A record and its simulator, as data and a forward model."""
+    times, measured, simulate = record
+    if wrong := unfit(simulate, 2):
+        raise diagnosis.DiagnosisError(
+            f"simulate = {simulate!r:.60}: is called as simulate(parameters, times), with a dict of "
+            f"parameters by name: {wrong}"
+        )
+    data = Data(times, measured, labels, units, period=period, name=name)  # type: ignore[arg-type]
+    called = getattr(simulate, "__name__", "simulator")
+    return OtherState(
+        data, FunctionModel(simulate, parameters, Outputs(tuple(data.outputs), data.times), called)
+    )
 
 
 def _at_given_times(data: Data, model: ForwardModel) -> ForwardModel:
@@ -322,12 +432,20 @@ def _diagnose_data(
     free = [one for one in effects if isinstance(one, FunctionOf)]
     listed = [one for one in effects if not isinstance(one, FunctionOf)]
     refuse_twice([one.name for one in effects])
+    several = isinstance(model, Experiments)
+    if isinstance(model, Experiments):
+        listed = [model.effect(one) for one in listed]
     if free:
 
-        def components(model: ForwardModel, theta: Array, data: Data) -> list[FreeFunction]:
+        def own(model: ForwardModel, theta: Array, data: Data) -> list[FreeFunction]:
             return [one.on(model, theta) for one in free]
 
+        def components(model: Any, theta: Array, data: Data) -> list[FreeFunction]:
+            return model.functions(own, theta) if several else own(model, theta, data)
+
         def knowing(model: Any) -> Any:
+            if isinstance(model, Experiments):
+                return model.each(knowing)
             return replace(model, functions=tuple(one.name for one in free))
 
         model, states = knowing(model), [replace(one, model=knowing(one.model)) for one in states]

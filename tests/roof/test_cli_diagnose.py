@@ -98,6 +98,31 @@ def test_another_state_is_fitted_with_what_was_learned(folder: Path, tmp_path: P
     assert not (tmp_path / "no").exists()
 
 
+def test_studies_of_two_beats_have_one_cause_of_one_size(folder: Path, tmp_path: Path) -> None:
+    other, out = tmp_path / "faster", tmp_path / "gap"
+    save_study(made((1, 0.0, "pressure_mmHg"), period=0.09, more=1.2, seed=4), other)
+    options = ("--effects", "viscoelastic-wall,inflow-shift", "--component-sizes", 0, "-q")
+    run("diagnose", folder, other, "--share", "psi1,c", *options, "-o", out)
+    file, one = read_diagnosis(out), load_study(folder).name
+    assert file.cause == ["viscoelastic-wall"]
+    estimates = {cause.name: cause.estimates for cause in file.causes}
+    [tau] = estimates["viscoelastic-wall"]
+    assert abs(tau.mean - TAU_S) < 4 * tau.sd
+    named = set(file.base_parameters["base"])
+    assert {"psi1", "c", f"f3[{one}]", "f3[faster]", f"psi2[{one}]", "psi2[faster]"} == named
+    assert file.gap.held_out == "5 blocks of each beat in turn"
+    assert file.gap.held_out_after < 0.5 * file.gap.held_out_before
+    assert "faster/" in read(out / "report.html").text
+    for words, told in (
+        ((folder, "--share", "c"), "--share c: is of several studies; give two or more"),
+        ((folder, other, "--state", other), "is another state of one study; give one STUDY"),
+        ((folder, folder), f"studies: {one} is there twice; give it once, or another name"),
+        ((folder, other, "--share", "psi"), "--share psi: experiment soft: unknown; did you mean 'psi2'?"),
+        ((folder, other, "--base", "F", "--share", "chi"), "its prior depends on m_chi: share that too"),
+    ):
+        assert told in fails("diagnose", *words, *options, "-o", tmp_path / "no"), words
+
+
 def test_the_screen_tells_of_the_next_measurement_and_posteriors(three: Diagnosis) -> None:
     measure = NextMeasurement(
         vessel=5,

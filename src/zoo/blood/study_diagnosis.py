@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zoo.blood.baseline import get_baseline
+from zoo.blood.baseline import Baseline, get_baseline
 from zoo.blood.blood_flow import study_data
 from zoo.blood.components import component_of, components, plausible
 from zoo.blood.conventions import Conventions
@@ -28,6 +28,7 @@ from zoo.core.diagnosis.coordinates import ranges
 from zoo.core.diagnosis.hooks import NOISE_PART
 from zoo.core.effects import Effect, EffectError
 from zoo.core.errors.spectral import Spectral, spectral_errors
+from zoo.core.experiments import Experiments
 from zoo.core.forward import ForwardModel
 
 Array = NDArray[np.float64]
@@ -299,19 +300,10 @@ def diagnose(
     """
     if not isinstance(study, Study):
         raise DiagnosisError(f"study = {study!r}: give a Study, such as zoo.load_study('demo')")
-    if isinstance(effects, str | Effect):
-        raise DiagnosisError(f"effects = {effects!r}: give a list, such as [{effects!r}]")
-    if not study.series:
-        raise DiagnosisError(
-            f"{study.source}: study {study.name!r} has no observations: a diagnosis needs at least one "
-            "series of eight samples; add observations.csv"
-        )
-    if not 0.0 <= component_sizes < math.inf:
-        raise DiagnosisError(f"component_sizes = {component_sizes}: must be finite, and not below 0")
+    _checked([study], effects, component_sizes)
     chosen = get_baseline(base)
     study = with_priors(study, priors, fixed)
-    data = study_data(study)
-    forward = chosen.forward(heard(study, data), conventions=conventions, options=options, share=SEARCH_SHARE)
+    data, forward = _solved(study, chosen, conventions, options)
     if isinstance(states, Study | str):
         raise DiagnosisError(f"states = {states!r}: give a list of studies")
     own = suspect_units(study)
@@ -323,10 +315,7 @@ def diagnose(
         if {one.unit for one in suspicions} - {one.unit for one in own}:
             odd.append(f"{other.name} is not compared with what was learned before its units are mended")
             continue
-        here = study_data(other)
-        model = chosen.forward(
-            heard(other, here), conventions=conventions, options=options, share=SEARCH_SHARE
-        )
+        here, model = _solved(other, chosen, conventions, options)
         others.append(OtherState(here, model, errors_of(other, here)))
     found = diagnose_data(
         data,
@@ -345,6 +334,124 @@ def diagnose(
     )
     found.file.record["component_sizes"] = component_sizes
     return of_study(found, study, {p.name: p.prior.text for p in forward.parameters})
+
+
+def _checked(studies: Sequence[Study], effects: Any, component_sizes: float) -> None:
+    """Refuse what cannot be diagnosed."""
+    if isinstance(effects, str | Effect):
+        raise DiagnosisError(f"effects = {effects!r}: give a list, such as [{effects!r}]")
+    for study in studies:
+        if not study.series:
+            raise DiagnosisError(
+                f"{study.source}: study {study.name!r} has no observations: a diagnosis needs at least one "
+                "series of eight samples; add observations.csv"
+            )
+    if not 0.0 <= component_sizes < math.inf:
+        raise DiagnosisError(f"component_sizes = {component_sizes}: must be finite, and not below 0")
+
+
+def _solved(
+    study: Study, chosen: Baseline, conventions: Conventions | None, options: SolverOptions | None
+) -> tuple[Data, ForwardModel]:
+    """A study's data, and its baseline on the grid that they call for."""
+    data = study_data(study)
+    settings: dict[str, Any] = {"conventions": conventions, "options": options, "share": SEARCH_SHARE}
+    return data, chosen.forward(heard(study, data), **settings)
+
+
+def diagnose_studies(
+    studies: Sequence[Study],
+    base: str = "linear-constant",
+    *,
+    share: Iterable[str] = (),
+    effects: Iterable[str | Effect] | None = None,
+    conventions: Conventions | None = None,
+    options: SolverOptions | None = None,
+    priors: Mapping[str, Any] | None = None,
+    fixed: Mapping[str, float] | None = None,
+    component_sizes: float = 1.0,
+    **settings: Any,
+) -> Diagnosis:
+    """Find what a baseline lacks in several studies together: causes that act in all of them, of one size.
+
+    Parameters
+    ----------
+    studies : sequence of Study
+        Each with observations; the names must differ.
+    base : str
+        As in `diagnose`.
+    share : iterable of str
+        Parameters that are one for all; the others are of each study, with its own prior.
+    effects : iterable of str or Effect, optional
+        Only these; all of the catalogue that can act in every study if absent. Sizes in parts of the beat are
+        so in each.
+    conventions, options, priors, fixed, component_sizes, **settings
+        As in `diagnose`.
+
+    Returns
+    -------
+    Diagnosis
+        Its parameters are named "f3[study]"; its free functions are those that all studies have.
+
+    Raises
+    ------
+    DiagnosisError
+        As in `diagnose`, and where two studies have one name.
+    zoo.core.experiments.ExperimentError
+        If the studies cannot be taken as one.
+    zoo.core.effects.EffectError
+        If an effect does not exist, or acts nowhere in one of the studies.
+    """
+    for one in studies:
+        if not isinstance(one, Study):
+            raise DiagnosisError(f"studies = {one!r}: give studies, such as zoo.load_study('demo')")
+    names = [one.name for one in studies]
+    if twice := [name for i, name in enumerate(names) if name in names[:i]]:
+        raise DiagnosisError(f"studies: {twice[0]} is there twice; give it once, or another name")
+    _checked(studies, effects, component_sizes)
+    chosen = get_baseline(base)
+    given = {one.name: with_priors(one, priors, fixed) for one in studies}
+    ready = {name: _solved(one, chosen, conventions, options) for name, one in given.items()}
+    models = {name: model for name, (_, model) in ready.items()}
+    records = {name: data for name, (data, _) in ready.items()}
+    noises = {name: dict(errors_of(one, records[name]).known) for name, one in given.items()}
+    own_noise = any(one != next(iter(noises.values())) for one in noises.values())
+    several = Experiments(models, records, share, own_noise)
+    for model in models.values():
+        effects_for(model, effects)  # what was asked for has to act in each
+    listed = [several.effect(one) for one in effects_for(chosen.name, effects)]
+    known = {
+        f"{name}/{group}" if own_noise else group: sd
+        for name, noise in noises.items()
+        for group, sd in noise.items()
+    }
+    own = _of_size(component_sizes)
+
+    def functions(model: Any, theta: Array, data: Data) -> Sequence[FreeFunction]:
+        assert own is not None
+        found: Sequence[FreeFunction] = model.functions(own, theta)
+        return found
+
+    odd = [f"in {name}: {one}" for name, study in given.items() for one in suspect_units(study)]
+    labels = {f"{key}[{name}]": f"{text} [{name}]" for key, text in HOOKS.labels.items() for name in given}
+    hooks = replace(
+        HOOKS,
+        about=several.about("pressure_mmHg"),
+        candidates=None,
+        warnings=tuple(odd),
+        labels={**HOOKS.labels, **labels},
+        components=own and functions,
+    )
+    found = diagnose_data(
+        several.data,
+        several,
+        [one for one in listed if one.locations(several)],
+        errors=replace(spectral_errors(several.data), known=known),
+        hooks=hooks,
+        **settings,
+    )
+    found.file.record["component_sizes"] = component_sizes
+    return found
 
 
 def same_tree(study: Study, other: Study) -> Study:

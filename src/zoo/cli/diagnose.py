@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from zoo.cli.checks import at_least, some_names
-from zoo.cli.command import GATE, Role, UsageError, Without, command, option, typed_command
-from zoo.cli.options import JSON, QUIET, STUDY, PluginOptions, StudyOptions
+from zoo.cli.command import GATE, Role, UsageError, Without, argument, command, option, typed_command
+from zoo.cli.options import JSON, QUIET, SHARE, PluginOptions, StudyOptions
 from zoo.cli.screen import complain, plain_table, say
 from zoo.core.outputs import output_folder
 from zoo.core.words import nearest, percent
@@ -19,7 +19,7 @@ from zoo.core.words import nearest, percent
 if TYPE_CHECKING:
     from zoo.blood.conventions import Conventions
     from zoo.blood.study import Study
-    from zoo.core.diagnosis import DiagnosisFile
+    from zoo.core.diagnosis import Diagnosis, DiagnosisFile
 
 EVERY_S = 5.0
 """Seconds between lines where there is no terminal."""
@@ -33,7 +33,12 @@ LEADING, PROBABLE = 5, 0.05
 
 @command
 def diagnose(
-    study: str = STUDY,
+    studies: list[str] = argument(
+        "STUDY...",
+        "A built-in study (see `zoo studies`) or a folder; several are diagnosed together, for causes that "
+        "act in all of them.",
+        Role.STUDY,
+    ),
     base: str = option(
         "linear-constant",
         "Baseline: linear-constant, linear-radius, tangent-constant, tangent-radius, or a model "
@@ -58,6 +63,7 @@ def diagnose(
         "Factor of the prior sizes of what components may lack: try 0.5 and 2; 0 leaves them out.",
         metavar="FACTOR",
     ),
+    share: str | None = SHARE,
     states: list[str] | None = option(
         None,
         "Study of the same tree in another state, such as at another heart rate, in which what was "
@@ -88,39 +94,47 @@ def diagnose(
     from zoo.core.inference.progress import Display
 
     with Display(not quiet, every_s=EVERY_S) as tell:
-        tell.say(f"reading {study}")
+        tell.say(f"reading {', '.join(studies)}")
         from zoo.blood.baseline import get_baseline
 
         plugins.load()
         chosen = get_baseline(base)
         names = _effect_names(effects, chosen.name)
         _known(expect or (), chosen.name, names)
-        loaded, *others = (options.load(one) for one in (study, *(states or ())))
+        together = [options.load(one) for one in studies]
+        loaded, several = together[0], len(together) > 1
+        if share and not several:
+            raise UsageError(f"--share {share}: is of several studies; give two or more")
+        if states and several:
+            raise UsageError(f"--state {states[0]}: is another state of one study; give one STUDY")
+        others = [options.load(one) for one in states or ()]
         # a baseline has a wall factor of its own unless one is asked for
         own = loaded.conventions if "conventions.wall_factor" in options.changes() else None
 
         from zoo.blood.blood_flow import study_data
         from zoo.blood.study_diagnosis import diagnose as run
-        from zoo.blood.study_diagnosis import same_tree
+        from zoo.blood.study_diagnosis import diagnose_studies, same_tree
         from zoo.core.errors.spectral import spectral_errors
         from zoo.report import diagnosis_files, write_diagnosis
 
         output_folder(output, diagnosis_files(), "--output")
         # a study without observations, or of another tree, is refused before the work
-        for one in (loaded, *(same_tree(loaded, other) for other in others)):
+        for one in (*together, *(same_tree(loaded, other) for other in others)):
             data = study_data(one)
             spectral_errors(data).bind(data)
-        found = run(
-            loaded,
-            chosen.name,
-            component_sizes=component_sizes,
-            states=others,
-            effects=names,
-            conventions=own,
-            cores=cores,
-            seed=seed,
-            tick=tell,
-            checkpoint=output / SOLVES,
+        settings: dict[str, Any] = {
+            "component_sizes": component_sizes,
+            "effects": names,
+            "conventions": own,
+            "cores": cores,
+            "seed": seed,
+            "tick": tell,
+            "checkpoint": output / SOLVES,
+        }
+        found: Diagnosis = (
+            diagnose_studies(together, chosen.name, share=some_names("--share", share) or (), **settings)
+            if several
+            else run(loaded, chosen.name, states=others, **settings)
         )
         if check:
             found = found.with_check(seed=seed, tick=tell)
@@ -128,7 +142,7 @@ def diagnose(
         written = write_diagnosis(found, output, command=typed_command())
         shutil.rmtree(output / SOLVES, ignore_errors=True)  # what they were kept for is on disk
         if posteriors:  # takes longer and may be stopped: what was found is on disk
-            folder = output / "posteriors" / _run_name(loaded, chosen.name, own, seed)
+            folder = output / "posteriors" / _run_name(together, chosen.name, own, seed)
             output_folder(folder, option="--output", deep=True).mkdir(parents=True, exist_ok=True)
             tell.say(f"{found.file.verdict}; {output}/report.html is written, its posteriors follow")
             found = found.with_posteriors(cores=cores, seed=seed, folder=folder, tick=tell)
@@ -190,15 +204,16 @@ def _known(expected: Sequence[str], base: str, effects: list[str] | None) -> Non
             raise UsageError(f"--expect {name}: {nearest(name, known)}")
 
 
-def _run_name(study: Study, base: str, conventions: Conventions | None, seed: int) -> str:
+def _run_name(studies: Sequence[Study], base: str, conventions: Conventions | None, seed: int) -> str:
     """Folder of a run's posteriors: another study, baseline, priors, conventions or seed has another one."""
     import hashlib
 
-    own, held = sorted(study.priors.items()), sorted(study.parameters.items())
-    what = repr(
-        (study.checksum, study.conventions, conventions, seed, dict(study.numerics), *own, *held)
-    ).encode()
-    return f"{base}-{hashlib.sha256(what).hexdigest()[:8]}"
+    digest = hashlib.sha256()
+    for study in studies:
+        own, held = sorted(study.priors.items()), sorted(study.parameters.items())
+        what = (study.checksum, study.conventions, conventions, seed, dict(study.numerics), *own, *held)
+        digest.update(repr(what).encode())
+    return f"{base}-{digest.hexdigest()[:8]}"
 
 
 def diagnosis_screen(file: DiagnosisFile) -> list[Any]:

@@ -18,6 +18,12 @@ if TYPE_CHECKING:
     from zoo.blood.study import Study
 
 STUDY = argument("STUDY", "A built-in study (see `zoo studies`) or a folder.", Role.STUDY)
+SHARE = option(
+    None,
+    "Parameters that are one for all of several studies, with commas, such as f3,c; all others "
+    "are each study's own.",
+    metavar="NAMES",
+)
 STRICT = option(False, "End with exit code 3 if chains have not converged.", Role.ASIDE)
 JSON = option(False, "Print JSON instead of a table.", "--json", Role.ASIDE)
 QUIET = option(False, "No progress.", "--quiet", "-q", Role.ASIDE)

@@ -14,6 +14,7 @@ from zoo.cli.command import FRESH, GATE, Role, UsageError, argument, command, op
 from zoo.cli.options import (
     DASK,
     JSON,
+    SHARE,
     STRICT,
     PluginOptions,
     SamplingOptions,
@@ -46,12 +47,7 @@ def sample(
         Role.EFFECTS,
         metavar="NAMES",
     ),
-    share: str | None = option(
-        None,
-        "Parameters that are one for all of several studies, with commas, such as f3,c; all others "
-        "are each study's own.",
-        metavar="NAMES",
-    ),
+    share: str | None = SHARE,
     population: str | None = option(
         None,
         "Parameters of several studies that come from one population, whose median and spread are "

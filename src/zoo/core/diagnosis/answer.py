@@ -66,14 +66,14 @@ MAX_HARMONIC = 10
 """Harmonics whose shares are told one by one."""
 
 
-def table_of(found: CauseSets, about: int) -> tuple[list[SetResult], dict[Which, float]]:
+def table_of(found: CauseSets, about: Sequence[str]) -> tuple[list[SetResult], dict[Which, float]]:
     """The table of sets, most probable first, and their probabilities normalised over it.
 
     Parameters
     ----------
     found : CauseSets
-    about : int
-        Index of the group whose gap is told.
+    about : sequence of str
+        Groups, of one unit, whose gap is told.
     """
     posterior = found.posterior
     told = ((), found.leader)  # however improbable
@@ -94,9 +94,9 @@ def table_of(found: CauseSets, about: int) -> tuple[list[SetResult], dict[Which,
                 log_evidence_error=found.error(which),
                 probability=p / total,
                 solved=solved,
-                gap_after=float(found.gap_after(which)[about]) if solved else None,
+                gap_after=found.gap_after(which, about) if solved else None,
                 negligible=None if which else negligible,
-                unit=found.search.fitting.data.unit(family.groups[about]),
+                unit=found.search.fitting.data.unit(about[0]),
             )
         )
     return rows, {which: p / total for which, p in kept.items()}
@@ -111,7 +111,7 @@ def _gap(found: CauseSets, before: Discrepancy, after: Discrepancy, rows: list[i
             unit=data.units[own[0]],
             before=before.interval(own),
             after=after.interval(own),
-            noise_floor=found.noise[data.groups[own[0]]],
+            noise_floor=rms_of(np.array([found.noise[data.groups[i]] for i in own])),
             residual_rms_before=rms_of(before.residual[own]),
             residual_rms_after=rms_of(after.residual[own]),
         )
@@ -219,7 +219,7 @@ def _estimates(found: CauseSets, draws: CauseDraws, own: set[int]) -> list[Estim
     return [estimate_of(p.name, p.unit, draws_, w) for p, draws_ in zip(parameters, x.T, strict=True)]
 
 
-def _share(found: CauseSets, draws: CauseDraws, component: str, group: str) -> Interval:
+def _share(found: CauseSets, draws: CauseDraws, component: str, about: Sequence[str]) -> Interval:
     """Shapley's share of a component in the energy of truth minus baseline, 0 in sets without it.
 
     Signals are those of the linear model, less what the baseline's fit takes of them; what a set computes
@@ -231,7 +231,7 @@ def _share(found: CauseSets, draws: CauseDraws, component: str, group: str) -> I
     def own(one: SetDraws, part: slice) -> Array:
         signal = one.signal(part)
         taken = np.linalg.lstsq(J.T @ search.jacobian, J.T @ signal.T, rcond=None)[0]
-        return search.family.errors.part(signal - (search.jacobian @ taken).T, group)
+        return search.family.errors.part(signal - (search.jacobian @ taken).T, *about)
 
     def of(one: SetDraws) -> Array:
         index = next((i for i in one.which if search.causes[i].component == component), None)
@@ -239,8 +239,8 @@ def _share(found: CauseSets, draws: CauseDraws, component: str, group: str) -> I
             return np.zeros(len(one.x))
         signals = {i: own(one, p) for i, p in one.solved.places(search.origins).items()}
         energy = {i: np.sum(x**2, axis=1) for i, x in signals.items()}
-        computed = search.family.errors.part(one.computed - search.base.computed, group)
-        gap = computed + search.family.errors.part(one.left, group)
+        computed = search.family.errors.part(one.computed - search.base.computed, *about)
+        gap = computed + search.family.errors.part(one.left, *about)
         beyond = np.sum((computed - sum(signals.values())) * gap, axis=1)
         shared = np.sum(signals[index] * gap, axis=1)
         shared += beyond * energy[index] / np.maximum(sum(energy.values()), 1e-300)
@@ -321,7 +321,7 @@ def _functions(
 
 
 def _components(
-    found: CauseSets, p: dict[Which, float], draws: CauseDraws, group: str
+    found: CauseSets, p: dict[Which, float], draws: CauseDraws, about: Sequence[str]
 ) -> list[ComponentResult]:
     prior, groups = found.posterior.priors.inclusion(), confounded(found)
     rows = [
@@ -329,7 +329,7 @@ def _components(
             name=name,
             probability=_holding(found, p, {name}, "component"),
             prior_probability=prior[name],
-            share=_share(found, draws, name, group),
+            share=_share(found, draws, name, about),
             confounded=groups.get(name, []),
             group_probability=_holding(found, p, {name, *groups.get(name, [])}, "component"),
             functions=_functions(found, p, draws, name),
@@ -445,10 +445,10 @@ def answer(
     """
     data = found.search.fitting.data
     rows = hooks.rows(data)
-    group = data.groups[rows[0]]
+    about = list(dict.fromkeys(data.groups[i] for i in rows))
     draws = draw_causes(found, seed)
     before, after = discrepancies(draws)
-    sets, p = table_of(found, found.search.family.groups.index(group))
+    sets, p = table_of(found, about)
     number = [math.fsum(x for which, x in p.items() if len(which) == k) for k in range(1 + max(map(len, p)))]
     file = DiagnosisFile(
         study=data.name,
@@ -465,7 +465,7 @@ def answer(
         sets=sets,
         missed=found.missed,
         linear_error=found.linear_error,
-        components=_components(found, p, draws, group),
+        components=_components(found, p, draws, about),
         causes=_causes(found, p, draws),
         sensitivity=sensitivity(found.posterior),
         failed=list(found.search.failed),

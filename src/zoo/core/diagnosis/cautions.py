@@ -137,11 +137,12 @@ def cautions(found: CauseSets, file: DiagnosisFile, before: Discrepancy, hooks: 
     told += [one.text for _, one in stuck]
     led = found.solved[found.leader].point.jacobian[:, : fitting.forward.n_base]
     read = np.any(found.search.jacobian, axis=0) | np.any(led, axis=0)
+    given = {name for p in fitting.forward.parameters for name in p.parameter.prior.depends_on}
     told += [
         f"{p.name} changes no series where the baseline fits best: if the simulator never reads it, "
         "leave it out"
         for p, any_ in zip(fitting.forward.parameters, read, strict=True)
-        if not any_
+        if not any_ and p.parameter.name not in given
     ]
     told += _beyond_priors(found)
     for name in found.search.idle:

@@ -225,7 +225,7 @@ class SearchModel:
                 continue
             on = np.concatenate([np.arange(len(u))[where[name]] for name in p.prior.depends_on])
             own = np.arange(len(u))[where[p.name]]
-            more, bend, cross = p.prior.dependence(values[p.name], values)
+            more, bend, cross = p.prior.dependence(np.atleast_1d(values[p.name]), values)
             slope[on] += more
             P[np.ix_(on, on)] += bend
             P[np.ix_(own, on)] += cross

@@ -41,6 +41,7 @@ from zoo.core.diagnosis.wording import worded
 from zoo.core.effects import Effect, EffectError
 from zoo.core.errors.base import ErrorModel
 from zoo.core.errors.spectral import Spectral, spectral_errors
+from zoo.core.experiments import Experiments
 from zoo.core.forward import ForwardModel, Outputs, SolveError, WithPriors
 from zoo.core.inference.progress import Display
 from zoo.core.inference.record import versions
@@ -375,6 +376,13 @@ def _same_outputs(data: Data, model: ForwardModel) -> None:
         )
 
 
+def _stored(model: ForwardModel, store: SolveStore) -> ForwardModel:
+    """The model with its solves kept; of several experiments those of each."""
+    if isinstance(model, Experiments):
+        return model.each(lambda one: StoredModel(one, store))
+    return StoredModel(model, store)
+
+
 def _in_states(
     found: Diagnosis,
     states: Sequence[OtherState],
@@ -501,7 +509,7 @@ def diagnose(
     try:
         with Display(progress and tick is None, every_s=EVERY_S) as shown:
             tell = tick or shown
-            stored = StoredModel(model, store)
+            stored = _stored(model, store)
             fitting = Fitting(data, stored, chosen.bind(data), smooth=hooks.smooth, cores=cores)
             offered = [e.of(model) for e in effects if e.apply is not None and e.offered(model.name)]
             preflight(fitting, model, offered, tell)

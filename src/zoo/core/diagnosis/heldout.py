@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,14 +22,17 @@ STEPS = 8
 
 
 def hold_out(found: CauseSets, rows: list[int]) -> tuple[float, float, str] | None:
-    """Discrepancy before and after in data that a refit does not see: each series in turn, or blocks of one.
+    """Discrepancy before and after in data that a refit does not see.
+
+    Of several experiments that share all parameters that is each one in turn, else a block of each one's
+    record; of one with several series each of these, and of one series its blocks.
 
     Parameters
     ----------
     found : CauseSets
         Its leading set is compared with the baseline.
     rows : list of int
-        Series that are held out.
+        Series in which the discrepancy is told.
 
     Returns
     -------
@@ -38,15 +42,18 @@ def hold_out(found: CauseSets, rows: list[int]) -> tuple[float, float, str] | No
     """
     fitting, leader = found.search.fitting, found.solved[found.leader]
     data = fitting.data
-    n = data.n_times
-    if len(rows) > 1:
-        folds = [np.repeat(np.arange(data.n_series)[:, None] == i, n, axis=1) for i in rows]
-        what = "each series in turn"
+    n, index = data.n_times, np.arange(data.n_series)[:, None]
+    told, alone = np.isin(index, rows), getattr(fitting.baseline, "alone", None)
+    folds: Sequence[NDArray[np.bool_]]
+    if alone:
+        folds, what = alone, "each experiment in turn"
+    elif alone is None and len(rows) > 1:
+        folds, what = [index == i for i in rows], "each series in turn"
     else:
         block = np.arange(n) * BLOCKS // n
-        one = (np.arange(data.n_series) == rows[0])[:, None]
-        folds = [np.tile(block == b, (data.n_series, 1)) & one for b in range(BLOCKS)]
-        what = f"{BLOCKS} blocks of the {'beat' if data.period is not None else 'record'} in turn"
+        folds = [told & (block == b) for b in range(BLOCKS)]
+        record = "beat" if data.period is not None else "record"
+        what = f"{BLOCKS} blocks of {'the' if alone is None else 'each'} {record} in turn"
     noise = np.array([found.noise[group] for group in data.groups])[:, None] * np.ones(n)
     sums, count = np.zeros(2), 0
     for out in (fold & data.measured for fold in folds):
@@ -54,8 +61,9 @@ def hold_out(found: CauseSets, rows: list[int]) -> tuple[float, float, str] | No
             series = _refit(fitting, start, data.measured & ~out, noise)
             if series is None:
                 return None
-            sums[which] += np.sum((data.values - series)[out] ** 2 - noise[out] ** 2)
-        count += int(out.sum())
+            here = out & told
+            sums[which] += np.sum((data.values - series)[here] ** 2 - noise[here] ** 2)
+        count += int((out & told).sum())
     before, after = np.sqrt(np.maximum(sums / count, 0.0)).tolist()
     return before, after, what
 

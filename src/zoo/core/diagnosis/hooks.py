@@ -52,8 +52,9 @@ class Hooks:
 
     Parameters
     ----------
-    about : str
-        Group of series whose discrepancy the verdict states; the first group if empty or not observed.
+    about : str or tuple of str
+        Group of series whose discrepancy the verdict states, or groups of one unit; the first group if empty
+        or not observed.
     phases : callable
         ``phases(data, rows) -> names, index``: names of the phases of a record and the phase (n_times,) of
         each sample. Quarters of the record if absent.
@@ -80,7 +81,7 @@ class Hooks:
         can be believed, and why.
     """
 
-    about: str = ""
+    about: str | tuple[str, ...] = ""
     phases: Callable[[Data, list[int]], tuple[Sequence[str], NDArray[np.int_]]] | None = None
     candidates: Callable[[Data, ForwardModel], Sequence[Candidate]] | None = None
     advice: str = "check units, inputs and parameters"
@@ -93,7 +94,9 @@ class Hooks:
 
     def rows(self, data: Data) -> list[int]:
         """Series that the verdict is about."""
-        return data.rows[self.about if self.about in data.rows else data.groups[0]]
+        asked = (self.about,) if isinstance(self.about, str) else self.about
+        there = [group for group in asked if group in data.rows] or data.groups[:1]
+        return [i for group in there for i in data.rows[group]]
 
     def phases_of(self, data: Data, rows: list[int]) -> tuple[tuple[str, ...], NDArray[np.int_]]:
         """Names of the phases, and that of each sample."""

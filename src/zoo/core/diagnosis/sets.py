@@ -675,10 +675,8 @@ class CauseSets:
         leader = self.solved[self.leader].evidence
         return leader.variances(leader.best(SIZE_PRIORS), alone=True)
 
-    def gap_after(self, which: Which) -> Array:
-        """Rms (n_groups,) of what a solved set leaves beyond the leader's noise, in the groups' units."""
-        family = self.search.family
+    def gap_after(self, which: Which, groups: Sequence[str]) -> float:
+        """Rms of what a solved set leaves beyond the leader's noise in groups of one unit."""
         residual = self.search.data - self.solved[which].point.computed
         beyond = residual**2 - self._noise_variances
-        left = [np.mean(family.errors.part(beyond, g)) for g in family.groups]
-        return np.sqrt(np.maximum(left, 0.0))
+        return math.sqrt(max(float(np.mean(self.search.family.errors.part(beyond, *groups))), 0.0))

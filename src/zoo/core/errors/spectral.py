@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -224,10 +224,10 @@ class Spectral(ErrorModel):
         values[..., self.there] = coefficients
         return self.inverse(values)
 
-    def part(self, coefficients: Array, group: str) -> Array:
-        """One group's coefficients, (..., m), of flat ones."""
+    def part(self, coefficients: Array, *groups: str) -> Array:
+        """Coefficients (..., m) of one group or several, of flat ones."""
         own = np.zeros(self.there.shape, bool)
-        own[self.rows[group]] = True
+        own[[i for group in groups for i in self.rows[group]]] = True
         return np.asarray(coefficients[..., own[self.there]])
 
     # -- spectra ----------------------------------------------------------------------------------
@@ -585,9 +585,12 @@ class Uneven(Spectral):
 
     @cached_property
     def _mixing(self) -> dict[tuple[int, int], Array]:
-        """G_i G_j, element by element, of each pair of clocks."""
-        own, n = [g for _, g in self._bases], range(len(self._bases))
-        least = {(i, j): min(len(own[i]), len(own[j])) for i in n for j in n}
+        """G_i G_j, element by element, of each pair of clocks of one group."""
+        own = [g for _, g in self._bases]
+        pairs = {
+            pair for rows in self.rows.values() for pair in product(self._clocks[1][rows].tolist(), repeat=2)
+        }
+        least = {(i, j): min(len(own[i]), len(own[j])) for i, j in pairs}
         return {(i, j): own[i][:m, :m] * own[j][:m, :m] for (i, j), m in least.items()}
 
     def process(self, spectrum: Array, group: str, shared: float = 0.0) -> Array:
