@@ -302,13 +302,14 @@ def _diagnose_series(
     period: float | None = None,
     name: str = "data",
     held_out: Mapping[str, Record] | None = None,
+    noise: float | Mapping[str, float] | None = None,
     **settings: Any,
 ) -> Diagnosis:
     parameters = as_parameters(priors)
     here = _bound(name, (times, measured, simulate), parameters, labels, units, period)
     records = _records("held_out", {} if held_out is None else held_out)
     others = _bound_all(records, parameters, labels, units, period)
-    return _diagnose_data(here.data, here.model, effects, states=others, **settings)
+    return _diagnose_data(here.data, here.model, effects, states=others, noise=noise, **settings)
 
 
 def _diagnose_experiments(
@@ -322,17 +323,19 @@ def _diagnose_experiments(
     period: float | None = None,
     hooks: Hooks | None = None,
     errors: Spectral | None = None,
+    noise: float | Mapping[str, float] | None = None,
     **settings: Any,
 ) -> Diagnosis:
     if not isinstance(experiments, Mapping):
         experiments = {str(i): one for i, one in enumerate(experiments, 1)}
     bound = _bound_all(_records("experiments", experiments), as_parameters(priors), labels, units, period)
     models = {one.data.name: _at_given_times(one.data, one.model) for one in bound}
-    own_noise = any("/" in group for group in (errors.known if isinstance(errors, Spectral) else ()))
+    known = errors.known if isinstance(errors, Spectral) else noise if isinstance(noise, Mapping) else ()
+    own_noise = any("/" in group for group in known)
     several = Experiments(models, {one.data.name: one.data for one in bound}, share, own_noise)
     hooks = hooks or Hooks()
     hooks = replace(hooks, about=several.about(hooks.about if isinstance(hooks.about, str) else ""))
-    return _diagnose_data(several.data, several, effects, hooks=hooks, errors=errors, **settings)
+    return _diagnose_data(several.data, several, effects, hooks=hooks, errors=errors, noise=noise, **settings)
 
 
 def _records(field: str, given: Any) -> Mapping[str, Record]:
