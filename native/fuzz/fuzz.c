@@ -16,6 +16,7 @@
 #include <signal.h>
 #include <time.h>
 
+#include "../src/inlet.h"
 #include "../src/internal.h"
 #include "../src/outlet.h"
 #include "draw.h"
@@ -23,7 +24,7 @@
 enum { MOST_VESSELS = 6, MOST_BYTES = 1 << 25, UNKNOWN = -1 };
 
 static uint64_t case_seed;
-static int64_t failures, given, by_status[ZOO_WALL_FALLS + 1], refused, twice;
+static int64_t failures, given, by_status[ZOO_INLET_AREA + 1], refused, twice;
 static int64_t calls_size, calls_solve, calls_name, calls_wall;
 
 static void fail(const char *what)
@@ -230,12 +231,15 @@ static void make(trial *t)
     real_of(&pr->junction.total_pressure, 0.0);
     real_of(&pr->junction.loss, 0.0);
 
-    count_of(&pr->inlet.kind, 0, NUMBER_OF_KIND);
+    const int by_pressure = n_samples % 4 == 0; /* draws no number: the corpus stays what it was */
+    count_of(&pr->inlet.kind, by_pressure ? ZOO_INLET_PRESSURE : ZOO_INLET_FLOW, NUMBER_OF_KIND);
     real_of(&pr->inlet.period, between(0.04, 0.08));
     count_of(&pr->inlet.n_samples, n_samples, SIZE_OF_ARRAY);
     double *curve = reals_of(&pr->inlet.curve, n_samples, 0.0, 1.0);
     for (int i = 0; i < n_samples; i++)
-        curve[i] = 2 * i < n_samples ? 0.4 * pow(sin(2.0 * ZOO_PI * i / n_samples), 2) : 0.0;
+        curve[i] = by_pressure ? 15000.0 + 3000.0 * sin(2.0 * ZOO_PI * i / n_samples)
+                   : 2 * i < n_samples ? 0.4 * pow(sin(2.0 * ZOO_PI * i / n_samples), 2)
+                                       : 0.0;
     const double mean = 0.1, total = between(3e5, 8e5) * terminals;
 
     count_of(&pr->outlet.kind, ZOO_OUTLET_WINDKESSEL, NUMBER_OF_KIND);
@@ -406,11 +410,11 @@ static int verdict(const trial *t)
     const zoo_inlet *in = &pr->inlet;
     double sum = 0.0;
     if (!zoo_inlet_name(in->kind) || !positive(in->period) || !count_in(in->n_samples, 4) || !in->curve ||
-        !finite_all(in->curve, in->n_samples, -DBL_MAX, DBL_MAX))
+        !finite_all(in->curve, in->n_samples, in->kind == ZOO_INLET_FLOW ? -DBL_MAX : -1e30, in->kind == ZOO_INLET_FLOW ? DBL_MAX : 1e30))
         return 1;
     for (int i = 0; i < in->n_samples; i++)
         sum += in->curve[i];
-    if (!positive(sum))
+    if (in->kind == ZOO_INLET_FLOW && !positive(sum))
         return 1;
     unknown |= in->period < 1e-285;
     const zoo_outputs *ot = &pr->outputs;
@@ -584,11 +588,12 @@ static void look_at(const trial *t, const answer *a)
     const zoo_report *r = a->report;
     const int nv = t->problem.network.n_vessels, expected = parameters_verdict(t);
     const int64_t n = (int64_t)t->problem.outputs.n_series * t->problem.outputs.n_times;
-    EXPECT(r->status >= ZOO_OK && (r->status <= ZOO_NOT_PERIODIC || (r->status == ZOO_WALL_FALLS && t->problem.wall.function.n_knots)), "a solve has a status that does not exist");
+    EXPECT(r->status >= ZOO_OK && (r->status <= ZOO_NOT_PERIODIC || (r->status == ZOO_WALL_FALLS && t->problem.wall.function.n_knots) ||
+            (r->status == ZOO_INLET_AREA && t->problem.inlet.kind == ZOO_INLET_PRESSURE)), "a solve has a status that does not exist");
     EXPECT(expected == UNKNOWN || (r->status == ZOO_BAD_ARGUMENT) == (expected == 1),
            "parameters are refused that are in range, or the other way round");
     EXPECT(r->vessel >= -1 && r->vessel < nv, "a report names a vessel that does not exist");
-    if (r->status >= 0 && r->status <= ZOO_WALL_FALLS)
+    if (r->status >= 0 && r->status <= ZOO_INLET_AREA)
         by_status[r->status]++;
     for (int part = 0; part < 3; part++) {
         const double *x = a->wave[part];
@@ -665,7 +670,7 @@ static void small_calls(void)
     calls_name += 6;
     EXPECT((name != NULL) == (law >= 0 && law < ZOO_N_WALLS) && (shapes >= 0) == (name != NULL), "a wall law has a wrong name");
     EXPECT((zoo_wall_shape_name(law, kind) != NULL) == (kind >= 0 && kind < shapes), "a shape parameter has a wrong name");
-    EXPECT((zoo_inlet_name(kind) != NULL) == (kind == 0), "an inlet has a wrong name");
+    EXPECT((zoo_inlet_name(kind) != NULL) == (kind >= 0 && kind < ZOO_N_INLETS), "an inlet has a wrong name");
     EXPECT((zoo_outlet_name(kind) != NULL) == (kind >= 0 && kind < ZOO_N_OUTLETS), "an outlet has a wrong name");
     EXPECT(zoo_status_text(kind) != NULL && *zoo_status_text(kind), "a status has no text");
 
@@ -778,7 +783,7 @@ int main(int argc, char **argv)
     printf("  calls: zoo_solve %lld (%lld of them a second time), zoo_workspace_size %lld, names %lld, walls %lld\n",
            (long long)calls_solve, (long long)twice, (long long)calls_size, (long long)calls_name, (long long)calls_wall);
     printf("  refused %lld; solved %lld", (long long)refused, (long long)by_status[ZOO_OK]);
-    for (int s = 1; s <= ZOO_WALL_FALLS; s++)
+    for (int s = 1; s <= ZOO_INLET_AREA; s++)
         printf(", status %d %lld", s, (long long)by_status[s]);
     printf("\n  %.1f %% of %lld solved; %lld failures\n", 100.0 * share, (long long)given, (long long)failures);
     if (!single && cases > 100 && !(share > 1.0 / 3.0)) {

@@ -11,7 +11,7 @@
 #include <stdint.h>
 
 /* cffi:begin */
-enum { ZOO_ABI = 11 }; /* raised when a struct or an entry point changes, so that no other library is taken for this one */
+enum { ZOO_ABI = 12 }; /* raised when a struct or an entry point changes, so that no other library is taken for this one */
 
 enum zoo_status {
     ZOO_OK = 0,
@@ -23,7 +23,8 @@ enum zoo_status {
     ZOO_NOT_PERIODIC = 6, /* max_beats passed before the beat repeated itself */
     ZOO_WORKSPACE = 7,    /* the workspace handed in is too small */
     ZOO_WALL_FALLS = 8,   /* with the function added to it the wall's pressure falls where its area grows */
-    ZOO_NO_DERIVATIVE = 9 /* the changed arguments of a direction cannot be solved beside the given ones */
+    ZOO_NO_DERIVATIVE = 9, /* the changed arguments of a direction cannot be solved beside the given ones */
+    ZOO_INLET_AREA = 10   /* the wall at the root's inlet has no area at the pressure given there */
 };
 
 enum zoo_friction {
@@ -107,10 +108,10 @@ typedef struct {
 
 /* At the root: samples at m period/n_samples, linear between, periodic. */
 typedef struct {
-    int32_t kind;       /* number of the kind, see zoo_inlet_name; 0: the flow is given */
+    int32_t kind;       /* number of the kind, see zoo_inlet_name; 0: the flow is given, 1: the pressure */
     double period;      /* s */
     int32_t n_samples;
-    const double *curve; /* [n_samples] ml/s where the flow is given */
+    const double *curve; /* [n_samples] ml/s where the flow is given, dyn/cm^2 where the pressure is */
 } zoo_inlet;
 
 /* At the terminals, the vessels without children; elsewhere the values are not read. */

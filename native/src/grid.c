@@ -95,5 +95,7 @@ void zoo_set_grid(zoo_sim *s)
         set_junctions(s, &s->groups[g]);
     for (int i = 0; i < s->problem->outputs.n_series; i++)
         zoo_output_weights(s, i);
+    s->inlet_cell[0] = 0.5 * s->dx[0];
+    s->inlet_cell[2] = -1.0;
     zoo_curve_sum(s);
 }

@@ -5,9 +5,10 @@
  * kind called `flow`,
  *
  *   flow_bad(pr)           1 if the curve, whose samples are finite, or another argument is out of range
- *   flow_mean(s)           mean flow into the root, ml/s, from which the first beat starts: may be a guess
- *   flow_sample(s, i)      flow at sample i of the curve, as above
- *   flow_volume(s)         ml that enter in a beat
+ *   flow_mean(s, resistance, against)   mean flow into the root, ml/s, from which the first beat starts: may be a
+ *                          guess; it makes the root's pressure resistance times flow + against
+ *   flow_sample(s, i)      flow at sample i of the curve; NaN where it is not given
+ *   flow_volume(s)         ml that entered in a beat
  *   flow_advance(wall, extra, s, step)   area and flow of node 0 at the end of the step: one condition,
  *                          and the mass balance of the half cell
  */
@@ -17,8 +18,21 @@
 #include "internal.h"
 #include "values.h"
 
+/* The half cell at node 0 as the one branch of a junction. */
+ZOO_INLINE zoo_junction_group inlet_branch(const zoo_sim *s)
+{
+    int *zero = s->first; /* node, midpoint and junction 0 */
+    double *own = s->inlet_cell;
+    return (zoo_junction_group){.count = 1, .branches = 1, .node = zero, .mid = zero, .junction = zero, .w = own,
+                                .per_w = own + 1, .sign = own + 2, .sum_c = own + 3, .A0 = s->A0, .f_s = s->f_s,
+                                .f_c = s->f_c};
+}
+
 #include "inlet_flow.h"
-#define ZOO_INLETS(KIND, ...) KIND(FLOW, flow, __VA_ARGS__)
+#include "inlet_pressure.h"
+#define ZOO_INLETS(KIND, ...)     \
+    KIND(FLOW, flow, __VA_ARGS__) \
+    KIND(PRESSURE, pressure, __VA_ARGS__)
 
 #define INLET_NUMBER(NAME, name, ...) ZOO_INLET_##NAME,
 #define INLET_CASE(NAME, name, function, ...) \
@@ -41,9 +55,9 @@ static inline int inlet_bad(const zoo_problem *pr)
     INLET_RETURN(pr->inlet.kind, 1, bad, pr)
 }
 
-static inline double inlet_mean(const zoo_sim *s)
+static inline double inlet_mean(const zoo_sim *s, double resistance, double against)
 {
-    INLET_RETURN(s->problem->inlet.kind, NAN, mean, s)
+    INLET_RETURN(s->problem->inlet.kind, NAN, mean, s, resistance, against)
 }
 
 static inline double inlet_sample(const zoo_sim *s, int i)

@@ -13,8 +13,9 @@ static inline int flow_bad(const zoo_problem *pr)
     return value_bad(mean);
 }
 
-static inline double flow_mean(const zoo_sim *s)
+static inline double flow_mean(const zoo_sim *s, double resistance, double against)
 {
+    (void)resistance, (void)against;
     return s->curve_sum[s->problem->inlet.n_samples] / s->problem->inlet.period;
 }
 

@@ -127,6 +127,8 @@ typedef struct {
     double *curve_node;                  /* [max_steps+1] at the steps */
     double *curve_mean;                  /* [max_steps] mean over each step */
     double *curve_sum;                   /* [n_samples+1] running integral of the samples */
+    double *inlet_cell;                  /* [4] of the half cell at node 0: dx/2, dt/(dx/2), -1, pressure at mid-step */
+    double entered;                      /* ml so far in this beat, where the flow is not given */
     int n_steps;
 
     /* outputs: cubic in space from four nodes, cubic in time from four steps */

@@ -188,6 +188,7 @@ int64_t zoo_layout(const zoo_problem *pr, zoo_sim *s, void *base)
     REALS(s->curve_node, (int64_t)pr->numerics.max_steps + 1);
     REALS(s->curve_mean, pr->numerics.max_steps);
     REALS(s->curve_sum, (int64_t)pr->inlet.n_samples + 1);
+    REALS(s->inlet_cell, 4);
     REALS(s->out_weight, 4 * ns);
     REALS(s->ring, 4 * ns * 3);
     REALS(s->sample, ntime * ns * 3);

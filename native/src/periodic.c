@@ -216,7 +216,8 @@ static void find_failure(zoo_sim *s, int step)
         if (wall_holds(s->wall, zoo_shape(s, j), a))
             continue;
         fail(s,
-             a >= wall_limit(s->wall, zoo_shape(s, j)) ? ZOO_WALL_LIMIT
+             j == 0 && s->problem->inlet.kind == ZOO_INLET_PRESSURE ? ZOO_INLET_AREA
+             : a >= wall_limit(s->wall, zoo_shape(s, j)) ? ZOO_WALL_LIMIT
              : isnan(a) && boundary                ? ZOO_NO_ROOT
                                                    : ZOO_COLLAPSE,
              k, step * s->dt);
@@ -235,6 +236,7 @@ static double beat(zoo_sim *s, double limit, const zoo_companion *with, double r
     zoo_report *r = &s->report;
     double fastest = 0.0;
     int every = s->n_steps / ZOO_CHECKS;
+    s->entered = 0.0;
     memset(s->outlets.volume, 0, (size_t)s->outlets.count * sizeof(double));
     memset(s->fastest, 0, (size_t)s->n_vessels * sizeof(double));
     const int finest = s->problem->numerics.steps_per_beat == 0 && s->n_steps >= s->problem->numerics.max_steps;

@@ -85,6 +85,8 @@ const char *zoo_status_text(int32_t status)
         return "with the function added to its wall a vessel's pressure does not rise with its area";
     case ZOO_NO_DERIVATIVE:
         return "no derivative: the changed arguments cannot be solved beside the given ones";
+    case ZOO_INLET_AREA:
+        return "the wall at the root's inlet has no area at the pressure that is given there";
     default:
         return "unknown status";
     }

@@ -1,15 +1,17 @@
 /* The state from which the first beat starts.
  *
- * First the steady flow of the mean inflow through vessels and Windkessels
- * (the pressure drop along a vessel is the scheme's own friction); then that
- * state, less the pressure that it has without flow, is scaled to the start of
- * the beat: all compliances in one vessel of capacity C_sum, emptied through
- * R_sum, filled by the inflow, has the periodic pressure
+ * First the steady flow of the mean inflow, or of the pressure that is given at
+ * the start of the beat, through vessels and Windkessels (the pressure drop along
+ * a vessel is the scheme's own friction). Of a flow, that state is then scaled to
+ * the start of the beat, less the pressure that it has without flow: all
+ * compliances in one vessel of capacity C_sum, emptied through R_sum, filled by
+ * the inflow, has the periodic pressure
  *
  *   v(0) = int_0^T exp(-(T-t)/tau) q_in(t) dt / (C_sum (1 - exp(-T/tau))),  tau = R_sum C_sum.
  *
  * Its decay over a beat, exp(-T/tau), is kept as the estimate of the slowest
- * one of the whole tree.
+ * one of the whole tree; where the pressure is given, the tree also empties
+ * through its inlet, and faster.
  */
 #include <math.h>
 #include <string.h>
@@ -85,15 +87,18 @@ static double resistance_from(const zoo_sim *s, double *own, double *below, doub
     return s->extra ? rest / lost : rest;
 }
 
-/* Steady pressures into P and flows into q, for the mean inflow; returns the root's pressure without flow. */
-static double steady(zoo_sim *s, double mean_flow, double *own, double *below, double *source)
+/* Steady pressures into P and flows into q, for the mean inflow, which is returned, with the root's pressure without flow
+ * and the tree's resistance. */
+static double steady(zoo_sim *s, double *own, double *below, double *source, double *against, double *resistance)
 {
-    double against = 0.0;
+    double mean_flow = 0.0;
     const int32_t *parent = s->problem->network.parent;
     for (int j = 0; j < s->n_nodes; j++)
         s->P[j] = 0.0;
     for (int sweep = 0; sweep < START_SWEEPS; sweep++) {
-        double root = mean_flow * resistance_from(s, own, below, source, &against) + against;
+        *resistance = resistance_from(s, own, below, source, against);
+        mean_flow = inlet_mean(s, *resistance, *against);
+        double root = mean_flow * *resistance + *against;
         for (int k = 0; k < s->n_vessels; k++) {
             double p_in = k ? s->P[s->last[parent[k]]] : root;
             double flow = k || s->extra ? (p_in - source[k]) / (own[k] + 1.0 / below[k]) : mean_flow;
@@ -104,34 +109,21 @@ static double steady(zoo_sim *s, double mean_flow, double *own, double *below, d
             }
         }
     }
-    return against;
+    return mean_flow;
 }
 
-void zoo_start(zoo_sim *s)
+/* Scales the steady state of the mean inflow to the start of the beat; `capacity` is each vessel's, `source` scratch. */
+static void scale(zoo_sim *s, double mean_flow, double against, double total, double tau, double *capacity, double *source)
 {
     const zoo_inlet *in = &s->problem->inlet;
     const int32_t *parent = s->problem->network.parent;
-    int nv = s->n_vessels;
-    if (s->extra && s->problem->wall.n_wave > 0)
-        s->stiff = s->wave_node[0];
-    double mean_flow = inlet_mean(s), h = in->period / in->n_samples;
-    /* vessel by vessel scratch, borrowed from the history that is not in use yet */
-    double *own = s->states, *below = own + nv, *capacity = below + nv, *source = capacity + nv;
-    double against = steady(s, mean_flow, own, below, source);
-    double vessels = 0.0, total = 0.0;
+    const int nv = s->n_vessels;
+    double h = in->period / in->n_samples, filled = 0.0, vessels = 0.0;
     for (int k = 0; k < nv; k++)
-        vessels += capacity[k] = vessel_compliance(s, k);
-    for (int t = 0; t < s->outlets.count; t++)
-        total += outlet_capacity(s, t);
-    total += vessels;
-    double resistance = (s->P[0] - against) / mean_flow, tau = resistance * total;
-    double filled = 0.0;
+        vessels += capacity[k];
     for (int i = 0; i < in->n_samples; i++)
         filled += h * inlet_sample(s, i) * exp(-(in->period - i * h) / tau);
-    s->slow = exp(-in->period / tau);
-    double ratio = filled / (total * (1.0 - s->slow)) / (s->P[0] - against);
-    if (circuit_modes(s->problem) > 0)
-        s->slow = fmax(s->slow, exp(-s->problem->outlet.mode_rate * in->period));
+    double ratio = filled / (total * (1.0 - exp(-in->period / tau))) / (s->P[0] - against);
 
     /* flow out of the terminals now, less the inflow, comes out of the vessels */
     for (int j = 0; j < s->n_nodes; j++) {
@@ -150,6 +142,28 @@ void zoo_start(zoo_sim *s)
             s->q[j] -= surplus * (capacity[k] - part * source[k]);
         }
     }
+}
+
+void zoo_start(zoo_sim *s)
+{
+    const zoo_inlet *in = &s->problem->inlet;
+    int nv = s->n_vessels;
+    if (s->extra && s->problem->wall.n_wave > 0)
+        s->stiff = s->wave_node[0];
+    /* vessel by vessel scratch, borrowed from the history that is not in use yet */
+    double *own = s->states, *below = own + nv, *capacity = below + nv, *source = capacity + nv;
+    double against, resistance, total = 0.0;
+    const double mean_flow = steady(s, own, below, source, &against, &resistance);
+    for (int k = 0; k < nv; k++)
+        total += capacity[k] = vessel_compliance(s, k);
+    for (int t = 0; t < s->outlets.count; t++)
+        total += outlet_capacity(s, t);
+    const double tau = resistance * total;
+    s->slow = exp(-in->period / tau);
+    if (circuit_modes(s->problem) > 0)
+        s->slow = fmax(s->slow, exp(-s->problem->outlet.mode_rate * in->period));
+    if (!isnan(inlet_sample(s, 0)))
+        scale(s, mean_flow, against, total, tau, capacity, source);
     for (int j = 0; j < s->n_nodes; j++) {
         double p = wall_pressure(s, j);
         s->A[j] = s->A0[j] * wall_area_ratio(s->wall, zoo_K(s, j), zoo_shape(s, j), p);
@@ -166,9 +180,9 @@ void zoo_start(zoo_sim *s)
 double zoo_start_speed(const zoo_sim *s)
 {
     const zoo_inlet *in = &s->problem->inlet;
-    double peak = 0.0, worst = 0.0;
+    double peak = fmax(s->q[0], 0.0), worst = 0.0;
     for (int i = 0; i < in->n_samples; i++)
-        peak = inlet_sample(s, i) > peak ? inlet_sample(s, i) : peak;
+        peak = fmax(inlet_sample(s, i), peak);
     for (int j = 0; j < s->n_nodes; j++) {
         double p = 2.0 * wall_pressure(s, j), a = wall_area_ratio(s->wall, zoo_K(s, j), zoo_shape(s, j), p);
         double c = sqrt(a * wall_slope(s->wall, zoo_K(s, j), zoo_shape(s, j), p, a, sqrt(a)) * s->inv_density);

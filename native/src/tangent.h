@@ -62,10 +62,11 @@ typedef struct {
     /* [n_nodes] how a midpoint follows from the nodes before and after it, and a node from the midpoints */
     double *hA0, *hA1, *hq0, *hq1, *hP0, *hP1, *fA0, *fA1, *fq0, *fq1, *fP0, *fP1;
     double *row;                 /* [ZOO_ADDED_ROWS or ZOO_PLAIN_ROWS][branches] of each group: what the directions have in common there */
+    double *inlet;               /* the same rows of the inlet's half cell, where the pressure is given */
     double *outlet;              /* [ZOO_OUTLET_ROWS][outlets] */
     double *seen;                /* [n_series][4] the walls' slope where outputs are taken, at the end of the step */
     double *seen_first;          /* the same at the start of the beat */
-    double *one;                 /* [size] what hA0 to hq1, fA0 to fq1, seen, outlet and row hold in one step */
+    double *one;                 /* [size] what hA0 to hq1, fA0 to fq1, seen, outlet, inlet and row hold in one step */
     double *kept;                /* [n_steps][zoo_tangent_kept] that of all steps, or NULL */
     double over[ZOO_NODE_ROWS];  /* what the integers of the last step that was kept were over */
     size_t size;

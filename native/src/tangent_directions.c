@@ -58,7 +58,8 @@ static int32_t build(zoo_point *p, const zoo_tangent *t, const zoo_problem *give
 {
     const zoo_sim *s = t->s;
     const zoo_problem *own = s->problem;
-    if (given->network.n_vessels != own->network.n_vessels || given->inlet.period != own->inlet.period)
+    if (given->network.n_vessels != own->network.n_vessels || given->inlet.period != own->inlet.period ||
+        given->inlet.kind != own->inlet.kind)
         return ZOO_NO_DERIVATIVE;
     p->problem = *given;
     p->problem.numerics = own->numerics;

@@ -5,6 +5,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "inlet.h"
 #include "tangent.h"
 
 static const double most_kept = 2147483647.0;
@@ -34,9 +35,10 @@ size_t zoo_tangent_place(zoo_tangent *t, double *at)
     size_t ends = 0, used = 0;
     for (int g = 0; g < s->n_groups; g++)
         ends += (size_t)s->groups[g].count * s->groups[g].branches;
-    double **rows[] = {&t->hA0, &t->hA1, &t->hq0, &t->hq1, &t->fA0, &t->fA1, &t->fq0, &t->fq1, &t->seen, &t->outlet, &t->row};
-    const size_t sizes[] = {series, outlets, (s->extra ? ZOO_ADDED_ROWS : ZOO_PLAIN_ROWS) * ends};
-    for (int i = 0; i < ZOO_NODE_ROWS + 3; i++) {
+    double **rows[] = {&t->hA0, &t->hA1, &t->hq0, &t->hq1, &t->fA0, &t->fA1, &t->fq0, &t->fq1, &t->seen, &t->outlet, &t->row, &t->inlet};
+    const size_t each = s->extra ? ZOO_ADDED_ROWS : ZOO_PLAIN_ROWS, inlet = s->problem->inlet.kind == ZOO_INLET_PRESSURE ? each : 0;
+    const size_t sizes[] = {series, outlets, each * ends, inlet};
+    for (int i = 0; i < ZOO_NODE_ROWS + 4; i++) {
         if (at)
             *rows[i] = at + used;
         used += i < ZOO_NODE_ROWS ? stride_of(t) : sizes[i - ZOO_NODE_ROWS];

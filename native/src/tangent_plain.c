@@ -14,6 +14,7 @@
  * where what is under the sums has the pressure P' and the mid-step pressure H of junction.h eliminated. */
 #include <math.h>
 
+#include "inlet.h"
 #include "outlet.h"
 #include "tangent.h"
 
@@ -134,7 +135,7 @@ ZOO_INLINE void junctions(const zoo_tangent *t, zoo_block *b, const int forced)
     }
 }
 
-/* outlet_windkessel.h, and the inlet's flow; `walls` and `outlets` say what changes beside the state. */
+/* outlet_windkessel.h and the inlet; `walls` and `outlets` say what changes beside the state. */
 ZOO_INLINE void ends(const zoo_tangent *t, zoo_block *b, int step, const int walls, const int outlets)
 {
     const zoo_sim *s = t->s;
@@ -169,9 +170,22 @@ ZOO_INLINE void ends(const zoo_tangent *t, zoo_block *b, int step, const int wal
     }
     const double per_w = 2.0 * s->dt / s->dx[0];
     const int moves = t->forced && b->inlet;
-    const directions none = {0};
-    *of(b->A, 0) -= per_w * (*of(b->qh, 0) - (moves ? *of(b->curve_mean, step) : none));
-    *of(b->q, 0) = moves ? *of(b->curve_node, step + 1) : none;
+    const directions none = {0}, mean = moves ? *of(b->curve_mean, step) : none, given = moves ? *of(b->curve_node, step + 1) : none;
+    if (s->problem->inlet.kind == ZOO_INLET_FLOW) {
+        *of(b->A, 0) -= per_w * (*of(b->qh, 0) - mean);
+        *of(b->q, 0) = given;
+        return;
+    }
+    /* a junction's branch at known pressures */
+    const double *row = t->inlet;
+    directions above = given, push = mean;
+    if (walls) {
+        above -= source(change_of(t, b, &t->next, b->K), 0);
+        push -= source(change_of(t, b, &t->mid, b->K_mid), 0);
+    }
+    const directions then = row[SOFTNESS] * above;
+    *of(b->q, 0) += row[WAS] * *of(b->A, 0) + row[IS] * then + row[AREA_H] * *of(b->Ah, 0) + row[FLOW_H] * *of(b->qh, 0) - row[PUSH] * push;
+    *of(b->A, 0) = then;
 }
 
 #define STEP_OF(name, walls, outlets)                                            \
@@ -247,6 +261,10 @@ void zoo_plain_keep(zoo_tangent *t)
     for (int g = 0; g < s->n_groups; g++) {
         keep_junctions(t, &s->groups[g], row);
         row += ZOO_PLAIN_ROWS * s->groups[g].count * s->groups[g].branches;
+    }
+    if (s->problem->inlet.kind == ZOO_INLET_PRESSURE) {
+        const zoo_junction_group in = inlet_branch(s);
+        keep_junctions(t, &in, t->inlet);
     }
     for (ptrdiff_t i = 0; i < ou->count; i++) {
         const ptrdiff_t o = ou->node[i];

@@ -315,12 +315,43 @@ ZOO_CLONES static void branches_of(const zoo_tangent *t, const zoo_junction_grou
     }
 }
 
+/* The half cell of branch x at a pressure P': the area then, and the flow q = to - is (pushed H + push dH) with the pressure
+ * H at mid-step. */
+ZOO_INLINE void branch_of(const zoo_tangent *t, const zoo_block *b, const zoo_junction_group *ju, const double *restrict row, int x,
+                          const double *restrict P, const double *restrict own, double *restrict then, double *restrict pushed,
+                          double *restrict to)
+{
+    const zoo_sim *s = t->s;
+    const int n = ju->count * ju->branches;
+    const ptrdiff_t o = ju->node[x], m = ju->mid[x];
+    const double dt = s->dt, inv_rho = s->inv_density, alpha = s->momentum;
+    const double w = ju->w[x], is = ju->sign[x], per_w = ju->per_w[x], per_slope = row[BRANCH_PER_SLOPE * n + x];
+    const double leak = s->leak[o], Ph = s->Ph[m], wet = w * leak, back = row[BRANCH_BACK * n + x];
+    const double flux = row[BRANCH_FLUX * n + x], u = row[BRANCH_U * n + x], per_half = row[BRANCH_PER_HALF * n + x];
+    const double hang = row[BRANCH_HANG * n + x], hold = row[BRANCH_HOLD * n + x], sunk = row[BRANCH_SUNK * n + x],
+                 push = row[BRANCH_PUSH * n + x];
+    const double M_A = t->mid.M_A[m], M_q = t->mid.M_q[m], G_A = t->mid.G_A[m], G_q = t->mid.G_q[m], G_P = t->mid.G_P[m];
+    const double *restrict A = b->A + o * D, *restrict q = b->q + o * D, *restrict Ah = b->Ah + m * D,
+                 *restrict qh = b->qh + m * D, *restrict Pm = b->Ph + m * D;
+    EACH_DIRECTION {
+        const double after = (P[d] - own[d]) * per_slope, mean = 0.5 * (A[d] + after);
+        const double through = qh[d] - is * ((after - A[d]) * back + wet * Pm[d]), du = (through - u * mean) * per_half;
+        const double drag = hang * mean + (leak * Pm[d] + sunk * through) * u + hold * du;
+        const double more = 0.5 * per_w * inv_rho * (mean + Ah[d]);
+        const double moved = M_A * Ah[d] + M_q * qh[d], held = G_A * Ah[d] + G_q * qh[d] + G_P * Pm[d];
+        then[d] = after;
+        pushed[d] = more;
+        to[d] = q[d] - is * (per_w * (alpha * (through * u + flux * du) - moved) - more * Ph - push * Pm[d]) -
+                0.5 * dt * (drag + held);
+    }
+}
+
 /* junction.h: one pressure P' for all branches, H at mid-step. */
 ZOO_INLINE void junction_of(const zoo_tangent *t, zoo_block *b, const zoo_junction_group *ju, const double *restrict row, int j)
 {
     const zoo_sim *s = t->s;
     const int nb = ju->branches, n = ju->count * nb;
-    const double dt = s->dt, inv_rho = s->inv_density, alpha = s->momentum, H = ju->sum_c[j];
+    const double dt = s->dt, H = ju->sum_c[j];
     double *restrict known = t->branch, *restrict c = known + nb * D, *restrict push_of = c + nb * D,
                      *restrict area = push_of + nb * D;
     double P[D] = {0.0}, dH[D] = {0.0}, soft = 0.0, stiff = 0.0;
@@ -339,31 +370,11 @@ ZOO_INLINE void junction_of(const zoo_tangent *t, zoo_block *b, const zoo_juncti
     EACH_DIRECTION P[d] *= per_soft;
     for (int k = 0; k < nb; k++) {
         const int x = k * ju->count + j;
-        const ptrdiff_t o = ju->node[x], m = ju->mid[x];
-        const double w = ju->w[x], is = ju->sign[x], per_w = ju->per_w[x], per_slope = row[BRANCH_PER_SLOPE * n + x];
-        const double leak = s->leak[o], Ph = s->Ph[m], wet = w * leak, back = row[BRANCH_BACK * n + x];
-        const double flux = row[BRANCH_FLUX * n + x], u = row[BRANCH_U * n + x], per_half = row[BRANCH_PER_HALF * n + x];
-        const double hang = row[BRANCH_HANG * n + x], hold = row[BRANCH_HOLD * n + x], sunk = row[BRANCH_SUNK * n + x],
-                     push = row[BRANCH_PUSH * n + x];
-        const double M_A = t->mid.M_A[m], M_q = t->mid.M_q[m], G_A = t->mid.G_A[m], G_q = t->mid.G_q[m],
-                     G_P = t->mid.G_P[m];
-        const double *restrict A = b->A + o * D, *restrict q = b->q + o * D, *restrict Ah = b->Ah + m * D,
-                     *restrict qh = b->qh + m * D, *restrict Pm = b->Ph + m * D, *restrict own = known + k * D;
-        double *restrict then = area + k * D, *restrict pushed = push_of + k * D, *restrict to = c + k * D;
-        stiff += push;
-        EACH_DIRECTION {
-            const double after = (P[d] - own[d]) * per_slope, mean = 0.5 * (A[d] + after);
-            const double through = qh[d] - is * ((after - A[d]) * back + wet * Pm[d]), du = (through - u * mean) * per_half;
-            const double drag = hang * mean + (leak * Pm[d] + sunk * through) * u + hold * du;
-            const double more = 0.5 * per_w * inv_rho * (mean + Ah[d]);
-            const double moved = M_A * Ah[d] + M_q * qh[d], held = G_A * Ah[d] + G_q * qh[d] + G_P * Pm[d];
-            const double sum = q[d] - is * (per_w * (alpha * (through * u + flux * du) - moved) - more * Ph - push * Pm[d]) -
-                               0.5 * dt * (drag + held);
-            then[d] = after;
-            pushed[d] = more;
-            to[d] = sum;
-            dH[d] += is * sum - H * more;
-        }
+        const double is = ju->sign[x];
+        double *restrict pushed = push_of + k * D, *restrict to = c + k * D;
+        stiff += row[BRANCH_PUSH * n + x];
+        branch_of(t, b, ju, row, x, P, known + k * D, area + k * D, pushed, to);
+        EACH_DIRECTION dH[d] += is * to[d] - H * pushed[d];
     }
     const double per_stiff = 1.0 / stiff;
     EACH_DIRECTION dH[d] *= per_stiff;
@@ -656,15 +667,28 @@ ZOO_CLONES static void circuit_of(const zoo_tangent *t, zoo_block *b)
 #undef ROW
 }
 
-/* inlet_flow.h */
+/* inlet_flow.h and inlet_pressure.h */
 static void inlet_of(const zoo_tangent *t, zoo_block *b, int step)
 {
     const zoo_sim *s = t->s;
     const double per_w = 2.0 * s->dt / s->dx[0], leak = s->dt * s->leak[0];
     const int forced = t->forced && b->inlet;
+    const double *mean = forced ? b->curve_mean + (ptrdiff_t)step * D : t->zero,
+                 *given = forced ? b->curve_node + ((ptrdiff_t)step + 1) * D : t->zero;
+    if (s->problem->inlet.kind == ZOO_INLET_FLOW) {
+        for (int d = 0; d < D; d++) {
+            b->A[d] -= per_w * (b->qh[d] - mean[d]) + leak * b->Ph[d];
+            b->q[d] = given[d];
+        }
+        return;
+    }
+    const zoo_junction_group in = inlet_branch(s);
+    double own[D], then[D], pushed[D], to[D];
+    known_P(t, b, 0, t->inlet[BRANCH_STIFFER], own);
+    branch_of(t, b, &in, t->inlet, 0, given, own, then, pushed, to);
     for (int d = 0; d < D; d++) {
-        b->A[d] -= per_w * (b->qh[d] - (forced ? b->curve_mean[(ptrdiff_t)step * D + d] : 0.0)) + leak * b->Ph[d];
-        b->q[d] = forced ? b->curve_node[((ptrdiff_t)step + 1) * D + d] : 0.0;
+        b->A[d] = then[d];
+        b->q[d] = to[d] + pushed[d] * *in.sum_c + t->inlet[BRANCH_PUSH] * mean[d];
     }
 }
 
@@ -754,6 +778,10 @@ int zoo_tangent_step(zoo_tangent *t, int step)
     for (int g = 0; g < s->n_groups && s->extra && !s->coupled; g++) {
         branches_of(t, &s->groups[g], row);
         row += ZOO_ADDED_ROWS * s->groups[g].count * s->groups[g].branches;
+    }
+    if (s->extra && s->problem->inlet.kind == ZOO_INLET_PRESSURE) {
+        const zoo_junction_group in = inlet_branch(s);
+        branches_of(t, &in, t->inlet);
     }
     if (!s->extra)
         zoo_plain_keep(t);

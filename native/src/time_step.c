@@ -44,6 +44,7 @@ void zoo_set_step(zoo_sim *s, int n_steps)
         for (int x = 0; x < ju->branches * ju->count; x++)
             ju->per_w[x] = s->dt / ju->w[x];
     }
+    s->inlet_cell[1] = s->dt / s->inlet_cell[0];
     for (int t = 0; t < s->outlets.count; t++)
         s->outlets.per_w[t] = 2.0 * s->dt / s->dx[s->outlets.vessel[t]];
     if (s->extra)

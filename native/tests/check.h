@@ -103,6 +103,15 @@ static inline void tree_make(tree *t, int wall)
     t->parameters = (zoo_parameters){t->stiffness, t->shape, t->psi1, t->psi2, t->c};
 }
 
+/* At the root's inlet, dyn/cm^2. */
+static inline void tree_pressure(double *pressure)
+{
+    for (int i = 0; i < NSAMPLES; i++) {
+        const double turn = 2.0 * ZOO_PI * i / NSAMPLES;
+        pressure[i] = 14000.0 + 4000.0 * sin(turn) + 700.0 * cos(5.0 * turn);
+    }
+}
+
 /* Everything that can be added, different in every vessel. */
 typedef struct {
     double viscosity[NV], offset_in[NV], offset_out[NV], memory[NV], leak[NV], inertance[NV];

@@ -76,7 +76,7 @@ static void statuses(void)
     CHECK(zoo_solve(&t.problem, &t.parameters, NULL, 0, p, q, A, NULL, &report) == ZOO_BAD_ARGUMENT);
     CHECK(strcmp(zoo_inlet_name(ZOO_INLET_FLOW), "flow") == 0 && zoo_inlet_name(ZOO_N_INLETS) == NULL);
     CHECK(strcmp(zoo_outlet_name(ZOO_OUTLET_CIRCUIT), "circuit") == 0 && zoo_outlet_name(-1) == NULL);
-    for (int i = 0; i <= ZOO_WORKSPACE; i++)
+    for (int i = 0; i <= ZOO_INLET_AREA; i++)
         CHECK(strcmp(zoo_status_text(i), "unknown status") != 0);
     CHECK(strcmp(zoo_status_text(99), "unknown status") == 0);
 }

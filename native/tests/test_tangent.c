@@ -1,5 +1,5 @@
 /* Derivatives of the periodic solution against differences of solves at the same steps, for every kind of input, wall,
- * outlet and junction. */
+ * outlet, junction and inlet. */
 #include "check.h"
 
 enum { SAMPLES = NSERIES * NTIMES, STEPS = 4096 };
@@ -10,10 +10,13 @@ typedef struct {
     double length[NV], in[NV], out[NV], R1[NV], R2[NV], C[NV], behind[NV], ratio[NV], exponent[NV];
 } arguments;
 
-static void make(arguments *a, int wall, int added, int coupled, int windkessel)
+static void make(arguments *a, int wall, int added, int coupled, int windkessel, int inlet)
 {
     tree_make(&a->t, wall);
     zoo_problem *p = &a->t.problem;
+    p->inlet.kind = inlet;
+    if (inlet == ZOO_INLET_PRESSURE)
+        tree_pressure(a->t.flow);
     memcpy(a->length, tree_length, sizeof tree_length);
     memcpy(a->in, tree_in, sizeof tree_in);
     memcpy(a->out, tree_out, sizeof tree_out);
@@ -60,7 +63,7 @@ static const char *change(arguments *a, int which, double by, int *plain)
     case 3: a->t.psi2[6] *= f; return "psi2";
     case 4: for (int k = 0; k < NV; k++) a->t.c[k] *= f; return "c";
     case 5: for (int k = 0; k < NV; k++) a->t.shape[k] *= f; return "shape";
-    case 6: for (int i = 0; i < NSAMPLES; i++) a->t.flow[i] *= 1.0 + by * cos(0.05 * i); return "inflow";
+    case 6: for (int i = 0; i < NSAMPLES; i++) a->t.flow[i] *= 1.0 + by * cos(0.05 * i); return "curve of the inlet";
     case 7: a->length[2] *= f; return "length";
     case 8: a->in[1] *= f; return "radius";
     case 9: a->R1[5] *= f; a->C[6] *= f; return "loads";
@@ -125,10 +128,10 @@ static void rooms(void)
     zoo_tangent_report tangent;
     int plain;
     const double h = 1e-5, weight[2] = {0.5 / h, -0.5 / h};
-    make(&given, ZOO_WALL_LINEAR, 0, 0, 1);
+    make(&given, ZOO_WALL_LINEAR, 0, 0, 1, ZOO_INLET_FLOW);
     static arguments near[2];
     for (int m = 0; m < 2; m++) {
-        make(&near[m], ZOO_WALL_LINEAR, 0, 0, 1);
+        make(&near[m], ZOO_WALL_LINEAR, 0, 0, 1, ZOO_INLET_FLOW);
         change(&near[m], 0, m ? -h : h, &plain);
     }
     const zoo_parameters *parameters[2] = {&near[0].t.parameters, &near[1].t.parameters};
@@ -161,7 +164,7 @@ static void rooms(void)
     free(room);
 }
 
-static void derivative(int wall, int added, int coupled, int windkessel)
+static void derivative(int wall, int added, int coupled, int windkessel, int inlet)
 {
     enum { MOST = 40 };
     static double slope[3][MOST * SAMPLES], own[3][SAMPLES];
@@ -173,17 +176,17 @@ static void derivative(int wall, int added, int coupled, int windkessel)
     const char *names[MOST];
     int n = 0, which[MOST], plain;
     const double h = 1e-5;
-    make(&given, wall, added, coupled, windkessel);
+    make(&given, wall, added, coupled, windkessel, inlet);
     for (int i = 0;; i++) {
         arguments *a = &shifted;
-        make(a, wall, added, coupled, windkessel);
+        make(a, wall, added, coupled, windkessel, inlet);
         names[n] = change(a, i, 0.0, &plain);
         if (!names[n])
             break;
         if (!added && !plain)
             continue;
         for (int m = 0; m < 2; m++) {
-            make(&near[n][m], wall, added, coupled, windkessel);
+            make(&near[n][m], wall, added, coupled, windkessel, inlet);
             change(&near[n][m], i, m ? -h : h, &plain);
             problems[n][m] = i < 6 ? NULL : &near[n][m].t.problem;
             parameters[n][m] = &near[n][m].t.parameters;
@@ -206,12 +209,12 @@ static void derivative(int wall, int added, int coupled, int windkessel)
     if (report.status != ZOO_OK)
         printf("%s\n", zoo_status_text(report.status));
     CHECK(tangent.residual <= 1e-9 && tangent.stepped > 0 && tangent.stepped < 2 * n);
-    printf("wall %d added %d coupled %d windkessel %d: %d directions, %d beats (%d along), %d vectors, residual %.1e, status %d %d\n", wall, added, coupled,
-           windkessel, n, tangent.beats, tangent.along, tangent.vectors, tangent.residual, tangent.status, tangent.direction);
+    printf("wall %d added %d coupled %d windkessel %d inlet %d: %d directions, %d beats (%d along), %d vectors, residual %.1e, status %d %d\n", wall, added, coupled,
+           windkessel, inlet, n, tangent.beats, tangent.along, tangent.vectors, tangent.residual, tangent.status, tangent.direction);
     for (int d = 0; d < n; d++) {
         const double step = 4e-4, by[4] = {step, -step, 2.0 * step, -2.0 * step};
         for (int m = 0; m < 4; m++) {
-            make(&shifted, wall, added, coupled, windkessel);
+            make(&shifted, wall, added, coupled, windkessel, inlet);
             change(&shifted, which[d], by[m], &plain);
             solve(&shifted, wave[m]);
         }
@@ -231,7 +234,7 @@ static void derivative(int wall, int added, int coupled, int windkessel)
     }
 }
 
-/* Two of the ten combinations, which take a minute; all of them with an argument. A single step is compared for
+/* Four of the thirty combinations, which take two minutes; all of them with an argument. A single step is compared for
  * all of them in test_tangent_step.c. */
 int main(int argc, char **argv)
 {
@@ -240,8 +243,9 @@ int main(int argc, char **argv)
     for (int wall = 0; wall < ZOO_N_WALLS; wall++)
         for (int kind = 0; kind < 5; kind++) {
             const int added = kind > 0, coupled = kind > 2, windkessel = kind == 0 || kind % 2 == 0;
-            if (argc > 1 || (wall == ZOO_WALL_LINEAR && kind == 0) || (wall == ZOO_WALL_TANGENT && kind == 3))
-                derivative(wall, added, coupled, windkessel);
+            for (int inlet = 0; inlet < ZOO_N_INLETS; inlet++)
+                if (argc > 1 || (wall == ZOO_WALL_LINEAR && kind == 0) || (wall == ZOO_WALL_TANGENT && kind == 3 + inlet))
+                    derivative(wall, added, coupled, windkessel, inlet);
         }
     return finish("tangent");
 }

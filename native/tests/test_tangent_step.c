@@ -1,4 +1,4 @@
-/* One step of the derivatives against differences of one step of the run, for every wall, outlet and junction, and
+/* One step of the derivatives against differences of one step of the run, for every wall, outlet, junction and inlet, and
  * without additions once more by the coefficients that were kept. */
 #include "check.h"
 #include "../src/tangent.h"
@@ -6,6 +6,7 @@
 enum { D = ZOO_DIRECTIONS };
 static tree one;
 static additions x;
+static double pressure[NSAMPLES];
 
 /* A number in (-1, 1) that is another one for every i. */
 static double any(int i)
@@ -22,9 +23,13 @@ static double larger(double a, double b)
 static const double wall_values[5] = {0.01, -0.005, 0.0, 0.01, 0.03}, friction_values[4] = {1.0, 1.4, 1.2, 2.0},
                     loss_values[4] = {-300.0, 100.0, 0.0, 500.0};
 
-static void step(int wall, int added, int coupled, int windkessel, int functions, const int32_t *cells)
+static void step(int wall, int added, int coupled, int windkessel, int functions, int inlet, const int32_t *cells)
 {
     tree_make(&one, wall);
+    if (inlet == ZOO_INLET_PRESSURE) {
+        tree_pressure(pressure);
+        one.problem.inlet = (zoo_inlet){inlet, 0.11, NSAMPLES, pressure};
+    }
     one.problem.network.n_cells = cells;
     if (added) {
         tree_add(&one, &x);
@@ -94,7 +99,7 @@ static void step(int wall, int added, int coupled, int windkessel, int functions
                     worst = larger(worst, fabs(found - block.state[i * D + d]));
                 }
                 if (!(worst <= 1e-7 * most))
-                    printf("wall %d added %d coupled %d windkessel %d functions %d again %d direction %d part %d: %g of %g\n", wall, added, coupled, windkessel, functions, again, d, part, worst, most);
+                    printf("wall %d added %d coupled %d windkessel %d functions %d inlet %d again %d direction %d part %d: %g of %g\n", wall, added, coupled, windkessel, functions, inlet, again, d, part, worst, most);
                 CHECK(worst <= 1e-7 * most);
             }
         }
@@ -114,11 +119,14 @@ int main(void)
     for (int wall = 0; wall < ZOO_N_WALLS; wall++)
         for (int single = 0; single < 2; single++) {
             const int32_t *cells = single ? tree_single_cells : tree_cells;
-            step(wall, 0, 0, 1, 0, cells);
+            for (int inlet = 0; inlet < ZOO_N_INLETS; inlet++)
+                step(wall, 0, 0, 1, 0, inlet, cells);
+            for (int functions = 0; functions < 2; functions++)
+                step(wall, 1, functions, 1, functions, ZOO_INLET_PRESSURE, cells);
             for (int coupled = 0; coupled < 2; coupled++)
                 for (int windkessel = 0; windkessel < 2; windkessel++)
                     for (int functions = 0; functions < 2; functions++)
-                        step(wall, 1, coupled, windkessel, functions, cells);
+                        step(wall, 1, coupled, windkessel, functions, ZOO_INLET_FLOW, cells);
         }
     return finish("tangent step");
 }

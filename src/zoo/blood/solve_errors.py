@@ -64,6 +64,12 @@ class NotPeriodicError(SolverError):
     status = "not-periodic"
 
 
+class InletAreaError(SolverError):
+    """The wall at the root's inlet has no area at the pressure that is given there."""
+
+    status = "inlet-area"
+
+
 class NoDerivativeError(SolverError):
     """A solve has no derivative in a direction that was asked for."""
 

@@ -27,6 +27,7 @@ from zoo.blood.physics import Physics, study_physics
 from zoo.blood.solve_errors import (
     CFLError,
     CollapseError,
+    InletAreaError,
     NoDerivativeError,
     NotPeriodicError,
     RootError,
@@ -35,9 +36,9 @@ from zoo.blood.solve_errors import (
     WallFallsError,
     WallLimitError,
 )
-from zoo.blood.solver_input import TOLERANCE_SHARE, checked_inflow, checked_places
+from zoo.blood.solver_input import TOLERANCE_SHARE, checked_inflow, checked_inlet_pressure, checked_places
 from zoo.blood.solver_input import SolverOptions as SolverOptions
-from zoo.blood.units import cgs_to_mmhg
+from zoo.blood.units import cgs_to_mmhg, mmhg_to_cgs
 from zoo.core import digests
 from zoo.core.arrays import (
     MOST_COUNT,
@@ -53,7 +54,7 @@ if TYPE_CHECKING:
     from zoo.blood.study import Study
 
 
-ABI = 11
+ABI = 12
 if getattr(lib, "ZOO_ABI", 1) != ABI:
     raise ImportError(
         f"zoo: the compiled solver has interface {getattr(lib, 'ZOO_ABI', 1)}, this version needs {ABI}; "
@@ -79,6 +80,7 @@ SHAPES: dict[str, tuple[str, ...]] = {
 }
 CHI_WALLS = ("linear", "olufsen")
 """Walls of the scale K = (4/3) chi and the slope dp/d(A/A0) = K/2 at rest."""
+INLETS: dict[str, int] = {name: number for number, name in enumerate(_names(lib.zoo_inlet_name))}
 OUTLETS: dict[str, int] = {name: number for number, name in enumerate(_names(lib.zoo_outlet_name))}
 FRICTIONS = {
     "current": lib.ZOO_FRICTION_CURRENT,
@@ -112,6 +114,7 @@ _ERRORS: dict[int, tuple[type[SolverError], str]] = {
     ),
     lib.ZOO_WALL_FALLS: (WallFallsError, "lower the slope of wall_function where it falls"),
     lib.ZOO_NO_DERIVATIVE: (NoDerivativeError, "sample without gradients, or leave that parameter fixed"),
+    lib.ZOO_INLET_AREA: (InletAreaError, "raise the stiffness"),
 }
 STATUS_NAMES: dict[int, str] = {lib.ZOO_OK: "ok", lib.ZOO_WORKSPACE: "workspace"} | {
     status: error.status for status, (error, _) in _ERRORS.items()
@@ -182,7 +185,7 @@ class Solver:
         Vessels, blood and nominal Windkessels.
     inflow_time_s, inflow_ml_s : array (n,)
         Flow into the root over one period, uniform in time from 0, without the repeated last sample: sample m
-        at m period/n, to a hundredth of a step.
+        at m period/n, to a hundredth of a step. Empty where the pressure is given.
     wall : {"linear", "tangent", "olufsen"}
         Eq. (3.3), (3.4), or p = (4/3) chi (1 - sqrt(A0/A)).
     conventions : Conventions
@@ -195,11 +198,14 @@ class Solver:
         Numerical settings.
     physics : Physics
         What is added to the equations.
+    inlet_pressure_mmHg : array (m,)
+        Pressure at the root's inlet at times m period/n, linear between, mmHg, absolute as an observed one,
+        instead of the flow there.
 
     Raises
     ------
     SolverArgumentError
-        If an argument is out of range.
+        If an argument is out of range, or the inlet has both a flow and a pressure, or neither.
 
     References
     ----------
@@ -209,8 +215,8 @@ class Solver:
     def __init__(
         self,
         network: Network,
-        inflow_time_s: ArrayLike,
-        inflow_ml_s: ArrayLike,
+        inflow_time_s: ArrayLike = (),
+        inflow_ml_s: ArrayLike = (),
         *,
         wall: str = "linear",
         conventions: Conventions = PRINTED,
@@ -218,6 +224,7 @@ class Solver:
         times_s: ArrayLike = (),
         options: SolverOptions | None = None,
         physics: Physics | None = None,
+        inlet_pressure_mmHg: ArrayLike = (),
     ) -> None:
         if wall not in WALLS:
             raise SolverArgumentError(f"wall = {wall!r}: must be one of {', '.join(WALLS)}")
@@ -226,7 +233,18 @@ class Solver:
                 f"network = {shown(network)}: must be a Network; see Network.from_study"
             )
         self.network = network
-        self.inflow_time_s, self.inflow_ml_s = checked_inflow(inflow_time_s, inflow_ml_s, network.period_s)
+        self.inlet_pressure_mmHg: Array = np.empty(0)
+        if np.size(inlet_pressure_mmHg):
+            if np.size(inflow_ml_s) or np.size(inflow_time_s):
+                raise SolverArgumentError(
+                    "inlet_pressure_mmHg: is given beside inflow_ml_s, which follows from it; leave one out"
+                )
+            self.inflow_time_s = self.inflow_ml_s = np.empty(0)
+            self.inlet_pressure_mmHg = checked_inlet_pressure(inlet_pressure_mmHg)
+        else:
+            self.inflow_time_s, self.inflow_ml_s = checked_inflow(
+                inflow_time_s, inflow_ml_s, network.period_s
+            )
         self.wall = wall
         self.conventions = conventions
         self.series = checked_places(series)
@@ -398,9 +416,12 @@ class Solver:
         self._shift = 0.0
         self._set_physics(problem, reals)
 
-        flow = self.inflow_ml_s
-        problem.inlet.period = net.period_s
-        problem.inlet.n_samples, problem.inlet.curve = len(flow), reals(flow, "inflow_ml_s", len(flow))
+        curve, kind = self.inflow_ml_s, "flow"
+        if self.inlet_pressure_mmHg.size:  # less that outside, as all pressures in C
+            curve = mmhg_to_cgs(self.inlet_pressure_mmHg, conventions.mmhg) - self._shift
+            kind = "pressure"
+        problem.inlet.kind, problem.inlet.period = INLETS[kind], net.period_s
+        problem.inlet.n_samples, problem.inlet.curve = len(curve), reals(curve, "the inlet", len(curve))
 
         known = {int(v) for v in net.ids}
         for vessel, position in self.series:
@@ -606,6 +627,8 @@ class Solver:
                     "give it longer cells (dx_cm, accuracy_percent), or, where its wall is nearly rigid, a "
                     f"softer one, as stiffness = {softer:.1g} in place of {chi:.3g}"
                 )
+        if self.inlet_pressure_mmHg.size and report.vessel == 0:
+            change += ", or correct inlet_pressure_mmHg (the file inlet_pressure of study.toml)"
         return f"{text}{where}{when}; {change}"
 
     def _speed_at_rest(self, vessel: int, values: dict[str, Array]) -> float:

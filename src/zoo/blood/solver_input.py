@@ -1,4 +1,4 @@
-"""What a solver is given beside network and physics: numerical settings, inflow, places; all checked."""
+"""What a solver is given beside network and physics: numerical settings, inlet, places; all checked."""
 
 from __future__ import annotations
 
@@ -123,6 +123,22 @@ def checked_inflow(times: ArrayLike, flow: ArrayLike, period_s: float) -> tuple[
         "inflow_time_s", t, np.abs(t - np.arange(n) * step) > 0.01 * step, words, error=SolverArgumentError
     )
     return t, q
+
+
+def checked_inlet_pressure(pressure: ArrayLike) -> Array:
+    """Copy of the pressure at the root's inlet (mmHg, absolute) at times m period/n, (n,).
+
+    Raises
+    ------
+    SolverArgumentError
+        If it is not made of finite numbers, at least 4.
+    """
+    p = finite_array("inlet_pressure_mmHg", pressure, error=SolverArgumentError).copy()
+    if len(p) < 4:
+        raise SolverArgumentError(
+            f"inlet_pressure_mmHg has {len(p)} values: needs at least 4, over one period"
+        )
+    return p
 
 
 def checked_places(series: Sequence[tuple[int, float]]) -> tuple[tuple[int, float], ...]:
