@@ -497,7 +497,7 @@ def test_a_network_of_svonedsolver(tmp_path: Path) -> None:
     [
         ("RCR END", "CORONARY END", "row 9: outlet 'CORONARY': a study has RCR and RESISTANCE"),
         ("RCR END", "RCR NONE", "row 9: DATATABLE NONE: no such table"),
-        ("Q FLOW", "Q PRESSURE_WAVE", "inlet PRESSURE_WAVE: a study has a flow there"),
+        ("Q FLOW", "Q PRESSURE_WAVE", "inlet PRESSURE_WAVE: the import reads a flow there"),
         ("0.8 10.0", "0.8 11.0", "DATATABLE Q: must begin at 0, rise in time, and end with its first"),
         ("1 2 1.5", "1 1 1.5", "node 1: another segment ends there too: a loop"),
         ("5.0 10 0", "five 10 0", "row 8: 'five': must be a number"),

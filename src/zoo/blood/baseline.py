@@ -9,6 +9,8 @@ from dataclasses import asdict, dataclass, field, replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
 
+import numpy as np
+
 from zoo.blood.blood_flow import BloodFlow, StiffnessLaw, study_data
 from zoo.blood.conventions import Conventions
 from zoo.blood.effects.given import Given, added_effects
@@ -367,9 +369,16 @@ def study_model(
 
 def _constants(study: Study, network: Network) -> dict[str, tuple[tuple[str, ...], Any, str]]:
     """What a study gives its models and no parameter changes: name -> dimensions, values, unit."""
-    return {
+    pressure = study.inlet_pressure_mmHg
+    times = np.arange(len(pressure)) * (study.period_s / max(1, len(pressure)))
+    inlets: dict[str, tuple[tuple[str, ...], Any, str]] = {
         "inflow": (("inflow_time",), study.inflow_ml_s, "ml/s"),
         "inflow_time": (("inflow_time",), study.inflow_time_s, "s"),
+        "inlet_pressure": (("inlet_time",), pressure, "mmHg"),
+        "inlet_time": (("inlet_time",), times, "s"),
+    }
+    return {
+        **{name: given for name, given in inlets.items() if len(given[1])},
         "length": (("vessel",), network.length_cm, "cm"),
         "radius_in": (("vessel",), network.radius_in_cm, "cm"),
         "radius_out": (("vessel",), network.radius_out_cm, "cm"),

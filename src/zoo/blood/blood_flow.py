@@ -196,8 +196,9 @@ class BloodFlow:
         words += [(name, value.tolist()) for name, value in sorted(self.fixed.items())]
         tree = (net.ids, net.parent, net.length_cm, net.radius_in_cm, net.radius_out_cm)
         loads_and_inflow = (net.R1, net.R2, net.C, self.study.inflow_time_s, self.study.inflow_ml_s)
+        pressure = self.study.inlet_pressure_mmHg
         given = (net.stiffness_in, net.response_cosine, net.response_sine)
-        walls = tuple(array for array in given if array is not None)
+        walls = tuple(array for array in (*given, pressure if pressure.size else None) if array is not None)
         return content_key(law, repr(words), *tree, *loads_and_inflow, *walls, self.outputs)
 
     def resolved(self, *, share: float = 1.0) -> BloodFlow:
@@ -301,6 +302,7 @@ class BloodFlow:
             network=self.network.with_tree_factors(factors) if factors else self.network,
             inflow_time_s=self.study.inflow_time_s,
             inflow_ml_s=self.study.inflow_ml_s,
+            inlet_pressure_mmHg=self.study.inlet_pressure_mmHg,
             conventions=self.conventions,
             wall=self.wall,
             options=self.options,
@@ -418,7 +420,7 @@ class BloodFlow:
         for old, at, when, solver in self._kept:
             same = (
                 old.network is case.network
-                and old.inflow_ml_s is case.inflow_ml_s
+                and old.inlet is case.inlet
                 and old.inflow_time_s is case.inflow_time_s
                 and old.physics is case.physics
                 and old.wall == case.wall

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -72,7 +72,7 @@ class Case(Brief):
     ----------
     network : Network
     inflow_time_s, inflow_ml_s : array (n,)
-        Flow into the root over one beat.
+        Flow into the root over one beat; empty where the pressure is given.
     conventions : Conventions
     wall : {"linear", "tangent", "olufsen"}
     options : SolverOptions
@@ -84,6 +84,8 @@ class Case(Brief):
         From `Wave` to `Wave`, applied to the solution in this order.
     coarse_blend : float
         a in y + a (y(2 dx) - y), where y(2 dx) is a second solve with cells twice as long.
+    inlet_pressure_mmHg : array (n,)
+        Pressure at the root's inlet over one beat, instead of the flow; empty where that is given.
     """
 
     network: Network
@@ -100,6 +102,12 @@ class Case(Brief):
     c: Array
     waves: tuple[Callable[[Wave], Wave], ...] = ()
     coarse_blend: float = 0.0
+    inlet_pressure_mmHg: Array = field(default_factory=lambda: np.empty(0))
+
+    @property
+    def inlet(self) -> Array:
+        """What is given at the root's inlet over the beat, (n,): its flow, ml/s, or its pressure, mmHg."""
+        return self.inlet_pressure_mmHg if self.inlet_pressure_mmHg.size else self.inflow_ml_s
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -123,6 +131,7 @@ def solver_of(case: Case, places: Sequence[tuple[int, float]], times_s: Array) -
         times_s=times_s,
         options=case.options,
         physics=case.physics,
+        inlet_pressure_mmHg=case.inlet_pressure_mmHg,
     )
 
 
@@ -208,6 +217,7 @@ def same_run(a: Case, b: Case) -> bool:
     return (
         a.wall == b.wall
         and np.array_equal(a.inflow_ml_s, b.inflow_ml_s)
+        and np.array_equal(a.inlet_pressure_mmHg, b.inlet_pressure_mmHg)
         and all(
             _equal(getattr(a, name), getattr(b, name))
             for name in ("network", "physics", "conventions", "options")
@@ -363,6 +373,13 @@ def with_true_lengths(case: Case) -> Case:
         conventions=case.conventions.replace(truncate_lengths=False),
         options=replace(case.options, dx_cm=1 / PUBLISHED_CELLS_PER_CM),
     )
+
+
+def with_inlet(case: Case, values: Array) -> Case:
+    """The case with another flow, or where that is given another pressure, at the root's inlet, (n,)."""
+    if case.inlet_pressure_mmHg.size:
+        return replace(case, inlet_pressure_mmHg=values)
+    return replace(case, inflow_ml_s=values)
 
 
 def with_network(case: Case, **arrays: Any) -> Case:

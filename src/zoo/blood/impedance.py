@@ -125,8 +125,12 @@ def measured_impedance(
     Raises
     ------
     ImpedanceError
-        If the pressure at the root's inlet is not observed.
+        If the pressure at the root's inlet is not observed, or no flow was recorded there.
     """
+    if not case.inflow_ml_s.size:
+        raise ImpedanceError(
+            "impedance: the study gives inlet_pressure, and no flow to divide by; give inflow"
+        )
     network, period = case.network, case.network.period_s
     root = int(network.ids[0])
     place = (root, 0.0, "pressure_mmHg")
@@ -177,11 +181,11 @@ def modelled_impedance(
     """
     period, root = case.network.period_s, int(case.network.ids[0])
     times = np.arange(SAMPLES) * (period / SAMPLES)
-    place = [(root, 0.0, "pressure_mmHg")]
-    pressure = simulate(case, place, times)[0]
+    pressure, flow = simulate(case, [(root, 0.0, name) for name in ("pressure_mmHg", "flow_ml_s")], times)
     entering = case.inflow_ml_s if recorded_ml_s is None else np.asarray(recorded_ml_s, dtype=np.float64)
-    last = min(harmonics, (SAMPLES - 1) // 2, (len(entering) - 1) // 2)
-    return _ratio(_harmonics(pressure, last), _entering(entering, last), period)
+    last = min(harmonics, (SAMPLES - 1) // 2, ((len(entering) or SAMPLES) - 1) // 2)
+    under = _entering(entering, last) if len(entering) else _harmonics(flow, last)
+    return _ratio(_harmonics(pressure, last), under, period)
 
 
 def _harmonics(values: ArrayLike, last: int, start_beats: float = 0.0) -> NDArray[np.complex128]:

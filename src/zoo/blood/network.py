@@ -26,6 +26,7 @@ from zoo.blood.study import (
     root_pressure,
 )
 from zoo.blood.study import sort_vessels as _sort_vessels
+from zoo.blood.study.loading import NO_MEAN_FLOW
 from zoo.blood.study.resampling import beat_mean
 from zoo.blood.units import MMHG, mmhg_to_cgs
 from zoo.core.arrays import Array, real_array, real_number, refuse_where, whole_array, whole_number
@@ -586,6 +587,8 @@ def with_nominal_loads(study: Study) -> tuple[Vessel, ...]:
     if not bare:
         return study.vessels
     file = f"{study.source}: study {study.name!r}: network.toml"
+    if study.inlet_pressure_mmHg.size:
+        raise StudyError(f"{file}: vessel {bare[0]}: windkessel: {NO_MEAN_FLOW}")
     where = f"{file}: vessel {bare[0]}: windkessel: is nominal or absent"
     observed = root_pressure(study.vessels, study.series)
     if observed is None:

@@ -368,7 +368,8 @@ def physics_words(study: Study) -> list[str]:
         ends = [x for v in study.vessels for x in v.stiffness or ()]
         words.append(f"stiffness: {_range(ends)} g/(cm s2){source}")
     if study.inflow_note:
-        words.append(f"inflow: {study.inflow_note}")
+        given = "inlet pressure" if study.inlet_pressure_mmHg.size else "inflow"
+        words.append(f"{given}: {study.inflow_note}")
     return words
 
 

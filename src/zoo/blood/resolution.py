@@ -175,7 +175,8 @@ def resolve(
 
 def resolve_solver(study: Study, solver: Solver, **parameters: Any) -> Resolution:
     """As `resolve`, of a solver of the study at parameters of `Solver.solve`, (n_vessels,) each."""
-    same = ("network", "inflow_time_s", "inflow_ml_s", "conventions", "wall", "options", "physics")
+    same = ["network", "inflow_time_s", "inflow_ml_s", "inlet_pressure_mmHg"]
+    same += ["conventions", "wall", "options", "physics"]
     case = Case(**{name: getattr(solver, name) for name in same}, **parameters)
     series = [(s.vessel, s.position, s.quantity) for s in study.series]
     return resolve(study, case, series, study.time_s)
@@ -189,7 +190,7 @@ def _key(case: Case, series: tuple[Place, ...], times_s: Array, *settings: Any) 
     fields = [*vars(case.network).items(), *vars(case.physics).items()]
     arrays = [value for _, value in fields if isinstance(value, np.ndarray)]
     numbers = [(name, "array" if isinstance(value, np.ndarray) else value) for name, value in fields]
-    arrays += [*case.parameters.values(), case.inflow_ml_s, times_s]
+    arrays += [*case.parameters.values(), case.inflow_ml_s, case.inlet_pressure_mmHg, times_s]
     return content_key(repr((case.wall, case.conventions, series, settings, numbers)), *arrays)
 
 
@@ -206,7 +207,7 @@ def _chosen(
     fixed = int(plain.pop("steps_per_beat", 0))
     period, length = case.network.period_s, case.network.length_cm
     speed, waves = _look(case, series, times_s, plain)
-    if np.ptp(case.inflow_ml_s) == 0 and case.physics.stiffness_wave is None:
+    if np.ptp(case.inlet) == 0 and case.physics.stiffness_wave is None:
         waves = np.stack([0.0 * waves[:, 0], waves[:, 0]], axis=1)  # no pulse: of the level itself
     limits, ranges = _limits((*series, _root(case)), waves, accuracy_percent, noise_sd)
     pressures = [limits[i] for i, (_, _, quantity) in enumerate(series) if quantity == "pressure_mmHg"]

@@ -312,6 +312,7 @@ class Solver:
             times_s=times_s,
             options=options,
             physics=physics,
+            inlet_pressure_mmHg=study.inlet_pressure_mmHg,
         )
 
     # the native structs hold pointers, so a pickle keeps the arguments and builds them again

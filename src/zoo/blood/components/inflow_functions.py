@@ -40,7 +40,9 @@ def delayed_flow(case: Case, values: Array, at: Array) -> Case:
 
 
 def functions(setting: Setting) -> tuple[FreeFunction, ...]:
-    """An added flow, and a filter's gain and delay."""
+    """An added flow, and a filter's gain and delay; none where the pressure is given."""
+    if not setting.case.inflow_ml_s.size:
+        return ()
     period = setting.period_s
     times: Array = np.arange(float(FLOW_KNOTS)) * (period / FLOW_KNOTS)
     gains, delays = setting.frequency_knots(GAIN_KNOTS), setting.frequency_knots(DELAY_KNOTS)

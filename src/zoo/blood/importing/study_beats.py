@@ -57,7 +57,7 @@ def average_beats(folder: str | Path) -> ImportedBeats:
         sd = float(np.sqrt(np.mean(np.var(beats, axis=0, ddof=1))))
         read += scatter_lines(label, beats, sd, study.period_s)
         known = study.noise_sd.get(label, study.noise_sd.get(quantity))
-        if label.startswith("inflow "):
+        if label.startswith(("inflow ", "inlet ")):
             continue
         if known is not None:
             read.append(f"{label}: noise_sd stays {known:g}, as the study says")

@@ -37,7 +37,7 @@ def import_svonedsolver(path: str | Path) -> Imported:
     vessels = tuple(_vessel(deck, row, words, i, ends, materials) for i, (row, words) in enumerate(segments))
     row, options = deck.of("SOLVEROPTIONS", 6)[0]
     if options[5] != "FLOW":
-        deck.fail(row, f"inlet {options[5]}: a study has a flow there; give FLOW")
+        deck.fail(row, f"inlet {options[5]}: the import reads a flow there; give FLOW")
     curve = np.array(deck.table(row, options[4])).reshape(-1, 2)
     wrong = len(curve) < 3 or curve[0, 0] != 0 or not np.all(np.diff(curve[:, 0]) > 0)
     if wrong or curve[-1, 1] != curve[0, 1]:

@@ -112,7 +112,7 @@ def _vessel(
 def _inflow(path: Path, inlet: Any) -> Any:
     """Times (s) and flow (ml/s), the last sample being the first."""
     if inlet["bc_type"] != "FLOW":
-        raise ImportedFileError(f"{path}: inlet {short(inlet['bc_type'])}: a study has a FLOW there")
+        raise ImportedFileError(f"{path}: inlet {short(inlet['bc_type'])}: the import reads a FLOW there")
     t, q = (np.asarray(inlet["bc_values"][name], dtype=np.float64) for name in ("t", "Q"))
     if len(t) < 2 or t[0] != 0 or not np.all(np.diff(t) > 0) or q[-1] != q[0]:
         raise ImportedFileError(f"{path}: inlet: t must begin at 0 and rise, and Q end with its first value")

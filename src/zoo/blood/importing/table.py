@@ -14,7 +14,7 @@ from zoo.blood.study import Blood, Series, Study, Windkessel
 from zoo.blood.study.loading import check_terminals
 from zoo.blood.study.parts import VESSEL_PHYSICS
 from zoo.blood.study.reading import read_csv
-from zoo.blood.study.samples import number, read_inflow, read_observations
+from zoo.blood.study.samples import number, read_inlet, read_observations
 from zoo.blood.study.tree import check_physics, sort_vessels, vessel_of
 from zoo.core.arrays import Array
 from zoo.core.words import short
@@ -92,7 +92,7 @@ def import_table(
         raise ImportedFileError(f"{path}: no vessels; add a row for each")
     sort_vessels(found, places)
     check_physics(found, places)
-    times, flow, note = read_inflow(Path(inflow), period_s)
+    times, flow, note = read_inlet(Path(inflow), period_s)
     check_flow(inflow, flow)
     grid: Array = np.empty(0)
     series: tuple[Series, ...] = ()

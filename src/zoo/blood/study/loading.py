@@ -13,11 +13,12 @@ from zoo.blood.conventions import Conventions, ConventionsError, get_conventions
 from zoo.blood.study.parts import QUANTITIES, Series, StudyError, Vessel
 from zoo.blood.study.reading import inside, read_toml
 from zoo.blood.study.samples import (
+    PRESSURE_COLUMNS,
     Samples,
     as_read,
     fetched_inflow,
     fetched_observations,
-    read_inflow,
+    read_inlet,
     read_observations,
     read_outflow,
 )
@@ -97,7 +98,7 @@ def study_files(name_or_folder: str | Path, settings: Mapping[str, Any] | None =
     data = read_toml(folder / "study.toml")[0]
     where = put_in(data, settings or {}, StudyTable, str(folder / "study.toml"))
     table = validated(StudyTable, data, where)
-    named = (table.network, table.inflow, table.outflow_pressure, table.observations)
+    named = (table.network, table.inflow, table.inlet_pressure, table.outflow_pressure, table.observations)
     return [folder / name for name in ("study.toml", *named) if isinstance(name, str)]
 
 
@@ -166,13 +167,24 @@ def read_study(
     known = [v.id for v in tree.vessels]
     inflow_note = ""
 
-    if isinstance(table.inflow, dict):
+    inflow_time, inflow, pressure = (np.empty(0) for _ in range(3))
+    if table.inlet_pressure is not None:
+        if table.inflow is not None:
+            raise StudyError(
+                f"{where}: inlet_pressure = {short(table.inlet_pressure)}: is given beside inflow, which "
+                "follows from it; leave one out"
+            )
+        inlet_path = _file(where, folder, "inlet_pressure", table.inlet_pressure)
+        _, pressure, inflow_note = read_inlet(inlet_path, table.period_s, fold, columns=PRESSURE_COLUMNS)
+    elif table.inflow is None:
+        raise StudyError(f"{where}: inflow: is missing; add it, or inlet_pressure")
+    elif isinstance(table.inflow, dict):
         fetched = validated(FetchedInflowTable, table.inflow, f"{where}: inflow")
         inflow_time, inflow = fetched_inflow(fetched, table.period_s)
     else:
         inflow_path = _file(where, folder, "inflow", table.inflow)
-        inflow_time, inflow, inflow_note = read_inflow(inflow_path, table.period_s, fold)
-    if not inflow.mean() > 0:
+        inflow_time, inflow, inflow_note = read_inlet(inflow_path, table.period_s, fold)
+    if inflow.size and not inflow.mean() > 0:
         raise StudyError(
             f"{where}: inflow = {short(table.inflow)}: mean flow_ml_s = {inflow.mean():.6g}: must be "
             "positive; count flow into the root as positive"
@@ -197,7 +209,7 @@ def read_study(
         observations_path = _file(where, folder, "observations", table.observations)
         time, series = read_observations(observations_path, table.period_s, known, fold)
 
-    check_terminals(tree.vessels, tree.places, series, tree.nominal)
+    check_terminals(tree.vessels, tree.places, series, tree.nominal, by_pressure=pressure.size > 0)
     study = Study(
         name=name,
         period_s=table.period_s,
@@ -214,6 +226,7 @@ def read_study(
         numerics=checked_numerics(f"{where}: numerics", table.numerics),
         inflow_note=inflow_note,
         outflow_wave_mmHg=outflow,
+        inlet_pressure_mmHg=pressure,
         **tree.given,
     )
     warn_of_units(study)
@@ -245,6 +258,12 @@ def _checked_noise(where: str, noise_sd: Mapping[str, float], series: Sequence[S
     return {name: float(value) for name, value in noise_sd.items()}
 
 
+NO_MEAN_FLOW = (
+    "is nominal or missing at a terminal, and cannot be derived without a mean flow, where inlet_pressure is "
+    "given instead of inflow; add windkessel = { R1, R2, C } or a resistance, in cgs"
+)
+
+
 class LoadWarning(UserWarning):
     """Loads of a study that are odd: forgotten at some terminals, too fast, or that give energy."""
 
@@ -261,6 +280,8 @@ def check_terminals(
     places: Sequence[str],
     series: Sequence[Series],
     nominal: Collection[int] = (),
+    *,
+    by_pressure: bool = False,
 ) -> None:
     """Refuse a terminal without a load that cannot be derived; warn of one that alone has none.
 
@@ -273,11 +294,13 @@ def check_terminals(
         What is observed.
     nominal : collection of int
         Vessels whose load is to be derived, as their file says.
+    by_pressure : bool
+        Whether the pressure is given at the root's inlet, and no flow.
 
     Raises
     ------
     StudyError
-        If a terminal has no load, and no pressure is observed in the root.
+        If a terminal has no load, and no pressure is observed in the root, or no flow given there.
 
     Warns
     -----
@@ -288,6 +311,8 @@ def check_terminals(
     root = next(v.id for v in vessels if v.parent is None)
     ends = [(v, place) for v, place in zip(vessels, places, strict=True) if v.id not in feeding]
     without = [(v, place) for v, place in ends if not v.has_load]
+    if without and by_pressure:
+        raise StudyError(f"{without[0][1]}: windkessel: {NO_MEAN_FLOW}")
     if without and root_pressure(vessels, series) is None:
         raise StudyError(
             f"{without[0][1]}: windkessel: is missing at a terminal, and cannot be derived without an "

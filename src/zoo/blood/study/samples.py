@@ -1,4 +1,4 @@
-"""Samples of a beat: inflow and observations, from CSV and from fetched files."""
+"""Samples of a beat: inlet, outlets and observations, from CSV and from fetched files."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from zoo.core.data import on_one_grid
 from zoo.core.words import nearest, short
 
 INFLOW_COLUMNS = ("time_s", "flow_ml_s")
-OUTFLOW_COLUMNS = ("time_s", "pressure_mmHg")
+PRESSURE_COLUMNS = ("time_s", "pressure_mmHg")
 OBSERVATION_COLUMNS = ("vessel", "position", "quantity", "time_s", "value")
 MIN_SAMPLES = 16
 """Fewest samples of a beat, in the inflow and in every observed series."""
@@ -230,7 +230,7 @@ def _evened(samples: Samples, period: float) -> tuple[Array, Array, str]:
         i = int(np.argmax(back))
         s.fail(i + 1, f"before that of row {s.rows[i]}; sort the rows by time")
     if abs(times[0]) > _TIME_ROUNDING_S:
-        s.fail(0, "the inflow must begin at time 0; shift or resample it")
+        s.fail(0, f"the {s.label} must begin at time 0; shift or resample it")
     end = len(times) - 1
     if abs(times[end] - period) <= _TIME_ROUNDING_S:
         s.must_repeat(period)
@@ -246,7 +246,8 @@ def _evened(samples: Samples, period: float) -> tuple[Array, Array, str]:
             f"{widest:.6g} s apart; give the whole period, or correct period_s",
         )
     even, distance = even_samples(np.maximum(times, 0.0), values, period)
-    how = f"at most {distance:.2g} ml/s from these lines" if distance else "which hold all of them"
+    unit = {"flow_ml_s": "ml/s", "pressure_mmHg": "mmHg"}[s.unit]
+    how = f"at most {distance:.2g} {unit} from these lines" if distance else "which hold all of them"
     note = f"{len(times)} samples at uneven times, linear between, read at {len(even)} even times, {how}"
     return np.asarray(np.arange(len(even)) * (period / len(even)), dtype=np.float64), even, note
 
@@ -256,16 +257,22 @@ def as_read(samples: Samples, period: float) -> Samples:
     return samples
 
 
-def read_inflow(
-    path: Path, period: float, fold: Callable[[Samples, float], Samples] = as_read
+def read_inlet(
+    path: Path,
+    period: float,
+    fold: Callable[[Samples, float], Samples] = as_read,
+    *,
+    columns: tuple[str, str] = INFLOW_COLUMNS,
 ) -> tuple[Array, Array, str]:
-    """Times and values of the inflow on a uniform grid, and what was done to them, in words.
+    """Times and values of the flow into the root on a uniform grid, and what was done to them, in words.
 
-    `fold` is given the samples and the period, and makes one beat of several.
+    `columns` may be `PRESSURE_COLUMNS`, of the pressure there. `fold` is given the samples and the period,
+    and makes one beat of several.
     """
-    table = read_csv(path, INFLOW_COLUMNS)
-    times, flow = (numbers(path, table.rows, name, table.columns[name]) for name in INFLOW_COLUMNS)
-    samples = fold(Samples(path, "inflow", table.rows, times, flow, "flow_ml_s"), period)
+    table = read_csv(path, columns)
+    times, values = (numbers(path, table.rows, name, table.columns[name]) for name in columns)
+    label = "inflow" if columns == INFLOW_COLUMNS else "inlet pressure"
+    samples = fold(Samples(path, label, table.rows, times, values, columns[1]), period)
     if len(samples.times) >= MIN_SAMPLES and np.any(_uneven(np.sort(samples.times))):
         return _evened(samples, period)
     return *_uniform(samples, period, from_zero=True), ""
@@ -273,8 +280,8 @@ def read_inflow(
 
 def read_outflow(path: Path, period: float) -> Array:
     """Pressure behind the outlets at times m period/n, mmHg; its samples must be at even times."""
-    table = read_csv(path, OUTFLOW_COLUMNS)
-    times, pressure = (numbers(path, table.rows, name, table.columns[name]) for name in OUTFLOW_COLUMNS)
+    table = read_csv(path, PRESSURE_COLUMNS)
+    times, pressure = (numbers(path, table.rows, name, table.columns[name]) for name in PRESSURE_COLUMNS)
     samples = Samples(path, "outflow pressure", table.rows, times, pressure, "pressure_mmHg")
     return _uniform(samples, period, from_zero=True)[1]
 

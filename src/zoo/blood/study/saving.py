@@ -9,12 +9,12 @@ from typing import Any
 
 from zoo.blood.outlet_tables import StructuredTree
 from zoo.blood.study.parts import Vessel
-from zoo.blood.study.samples import INFLOW_COLUMNS, OBSERVATION_COLUMNS, OUTFLOW_COLUMNS
+from zoo.blood.study.samples import INFLOW_COLUMNS, OBSERVATION_COLUMNS, PRESSURE_COLUMNS
 from zoo.blood.study.study import Study
 from zoo.blood.study.tree import NOMINAL
 from zoo.core.outputs import output_folder, write_file
 
-STUDY_FILES = "study.toml", "network.toml", "inflow.csv", "outflow.csv", "observations.csv"
+STUDY_FILES = "study.toml", "network.toml", "inflow.csv", "inlet.csv", "outflow.csv", "observations.csv"
 """What a study is written into."""
 
 
@@ -80,7 +80,10 @@ def save_study(study: Study, folder: str | Path) -> None:
     def write(name: str, lines: Sequence[str]) -> None:
         write_file(folder / name, "\n".join(lines) + "\n")
 
-    lines = [f"name = {_quoted(study.name)}", 'network = "network.toml"', 'inflow = "inflow.csv"']
+    lines = [f"name = {_quoted(study.name)}", 'network = "network.toml"']
+    lines.append(
+        'inlet_pressure = "inlet.csv"' if study.inlet_pressure_mmHg.size else 'inflow = "inflow.csv"'
+    )
     if study.outflow_wave_mmHg.size:
         lines.append('outflow_pressure = "outflow.csv"')
     if study.series:
@@ -124,13 +127,14 @@ def save_study(study: Study, folder: str | Path) -> None:
         tree += _vessel_lines(v, loaded and v.id not in feeding and not v.has_load)
     write("network.toml", tree)
 
-    pairs = zip(study.inflow_time_s.tolist(), study.inflow_ml_s.tolist(), strict=True)
-    write("inflow.csv", [",".join(INFLOW_COLUMNS), *(f"{t!r},{q!r}" for t, q in pairs)])
-    if study.outflow_wave_mmHg.size:
-        n = len(study.outflow_wave_mmHg)
-        samples = enumerate(study.outflow_wave_mmHg.tolist())
-        lines = [",".join(OUTFLOW_COLUMNS), *(f"{m * study.period_s / n!r},{p!r}" for m, p in samples)]
-        write("outflow.csv", lines)
+    if study.inflow_ml_s.size:
+        pairs = zip(study.inflow_time_s.tolist(), study.inflow_ml_s.tolist(), strict=True)
+        write("inflow.csv", [",".join(INFLOW_COLUMNS), *(f"{t!r},{q!r}" for t, q in pairs)])
+    pressures = {"inlet.csv": study.inlet_pressure_mmHg, "outflow.csv": study.outflow_wave_mmHg}
+    for file, pressure in pressures.items():
+        if pressure.size:
+            step, samples = study.period_s / len(pressure), enumerate(pressure.tolist())
+            write(file, [",".join(PRESSURE_COLUMNS), *(f"{m * step!r},{p!r}" for m, p in samples)])
     if study.series:
         rows = [
             f"{int(s.vessel)},{float(s.position)!r},{s.quantity},{t!r},{'' if x != x else repr(x)}"

@@ -32,7 +32,8 @@ class StudyTable(Table):
 
     name: str
     network: str
-    inflow: Any
+    inflow: Any = None
+    inlet_pressure: Any = None
     outflow_pressure: Any = None
     observations: Any = None
     period_s: Positive

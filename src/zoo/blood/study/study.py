@@ -1,4 +1,4 @@
-"""The study itself: a vessel tree, its inflow and its observations, with its checksum."""
+"""The study itself: a vessel tree, its inlet and its observations, with its checksum."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PRESSURES = ("external_pressure_mmHg", "outflow_pressure_mmHg", "radius_pressure
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Study(ReadOnlyArrays):
-    """A vessel tree, its inflow and its observations; frozen, with read-only arrays.
+    """A vessel tree, its inlet and its observations; frozen, with read-only arrays.
 
     Two studies are equal when their name, conventions, checksum and tables are.
 
@@ -35,7 +35,7 @@ class Study(ReadOnlyArrays):
     vessels : tuple of Vessel
         In the order of the file.
     inflow_time_s, inflow_ml_s : array (n,)
-        Flow into the root at times m period/n, s and ml/s.
+        Flow into the root at times m period/n, s and ml/s; empty where the pressure is given.
     time_s : array (n_times,)
         Times of all series, uniform over one period, s; empty without series.
     series : tuple of Series
@@ -52,6 +52,9 @@ class Study(ReadOnlyArrays):
     outflow_wave_mmHg : array (n,)
         Pressure behind all outlets at times m period/n, mmHg; empty where it does not change. Its mean is
         `outflow_pressure_mmHg`, which need not be given with it.
+    inlet_pressure_mmHg : array (n,)
+        Pressure at the root's inlet at times m period/n, mmHg, instead of the flow there; empty where that is
+        given.
     wall : {"linear", "olufsen"}
         Law of all walls, p = (4/3) chi (sqrt(A/A0) - 1) or p = (4/3) chi (1 - sqrt(A0/A)).
     inflow_note : str
@@ -92,11 +95,12 @@ class Study(ReadOnlyArrays):
     radius_pressure_mmHg: float = 0.0
     wall: str = "linear"
     outflow_wave_mmHg: Array = field(default_factory=lambda: np.empty(0), repr=False)
+    inlet_pressure_mmHg: Array = field(default_factory=lambda: np.empty(0), repr=False)
     inflow_note: str = field(default="", repr=False)
     checksum: str = field(default="", repr=False)
 
     def __post_init__(self) -> None:
-        for name in ("inflow_time_s", "inflow_ml_s", "time_s", "outflow_wave_mmHg"):
+        for name in ("inflow_time_s", "inflow_ml_s", "time_s", "outflow_wave_mmHg", "inlet_pressure_mmHg"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
         for name in ("vessels", "series"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
@@ -115,6 +119,7 @@ class Study(ReadOnlyArrays):
                     f"{', '.join(known)}"
                 )
         self._check_outflow()
+        self._check_inlet()
         object.__setattr__(self, "checksum", self._checksum())
 
     def _check_outflow(self) -> None:
@@ -129,6 +134,24 @@ class Study(ReadOnlyArrays):
                 f"{where}: its mean is {mean!r}, but outflow_pressure_mmHg = {given!r}; leave that out"
             )
         object.__setattr__(self, "outflow_pressure_mmHg", mean)
+
+    def _check_inlet(self) -> None:
+        pressure, where = self.inlet_pressure_mmHg, f"study {self.name!r}: inlet_pressure_mmHg"
+        if not pressure.size:
+            return
+        if pressure.ndim != 1 or not np.all(np.isfinite(pressure)):
+            raise StudyError(
+                f"{where}: shape {pressure.shape}: must be finite numbers in one row; correct it"
+            )
+        if self.inflow_ml_s.size:
+            raise StudyError(f"{where}: is given beside inflow_ml_s; leave one of the two out")
+        for series in self.series:
+            root = next(v.id for v in self.vessels if v.parent is None)
+            if (series.vessel, series.position, series.quantity) == (root, 0.0, "pressure_mmHg"):
+                raise StudyError(
+                    f"study {self.name!r}: observations: {series.label}: is what inlet_pressure gives, so no "
+                    "model can miss it; leave this series out, or give inflow instead"
+                )
 
     def _checksum(self) -> str:
         vessels = [
@@ -149,7 +172,7 @@ class Study(ReadOnlyArrays):
         if self.physics or self.blood.physics or own:  # a study without has the checksum that it always had
             content.append([self.physics, self.blood.physics, own])
         digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode())
-        own_waves = [self.outflow_wave_mmHg] if self.outflow_wave_mmHg.size else []
+        own_waves = [x for x in (self.outflow_wave_mmHg, self.inlet_pressure_mmHg) if x.size]
         arrays = [self.inflow_time_s, self.inflow_ml_s, self.time_s, *(s.value for s in self.series)]
         for array in (*arrays, *own_waves):
             digest.update(f";{len(array)}:".encode() + array.astype("<f8").tobytes())

@@ -59,6 +59,7 @@ class _Group(NamedTuple):
 _GROUPS = {
     "pressure": _Group("pressure", "observations: pressure_mmHg", "mmHg", _PRESSURE),
     "outflow_pressure": _Group("pressure", "network: outflow_pressure_mmHg", "mmHg", _PRESSURE),
+    "inlet_pressure": _Group("pressure", "inlet_pressure: pressure_mmHg", "mmHg", _PRESSURE),
     "inflow": _Group("flow", "inflow: flow_ml_s", "ml/s", _FLOW),
     "observed_flow": _Group("flow", "observations: flow_ml_s", "ml/s", _FLOW),
     "length": _Group("size", "network: length_cm", "cm", _SIZE),
@@ -141,9 +142,12 @@ class _Look:
         for v in self.vessels:
             self.share[v.id] = self.share[v.parent] * v.radius_cm**3 / cubes[v.parent]
             way[v.id] = way[v.parent] + v.length_cm
-        times = np.append(study.inflow_time_s, study.inflow_time_s[0] + study.period_s)
-        flow = np.append(study.inflow_ml_s, study.inflow_ml_s[0])
-        self.mean = float(np.trapezoid(flow, times) / study.period_s)
+        self.mean, self.swing = math.nan, math.nan  # not known where the pressure is given
+        if study.inflow_ml_s.size:
+            times = np.append(study.inflow_time_s, study.inflow_time_s[0] + study.period_s)
+            flow = np.append(study.inflow_ml_s, study.inflow_ml_s[0])
+            self.mean = float(np.trapezoid(flow, times) / study.period_s)
+            self.swing = float(np.ptp(flow))
         blood, root = study.blood, self.vessels[0]
         self.typical = {
             "inflow": ("flow_ml_s has a mean of", self.mean),
@@ -198,10 +202,14 @@ class _Look:
 
     def _observed(self) -> None:
         study = self.study
+        if (given := study.inlet_pressure_mmHg).size:
+            self.typical["inlet_pressure"] = "pressure_mmHg has a mean of", float(given.mean())
+            self.add("mean pressure", "mmHg", abs(float(given.mean())), 2.5, 250, inlet_pressure=1)
+            self.add("pulse of the pressure", "mmHg", float(np.ptp(given)), 1.5, 200, inlet_pressure=1)
         if seen := self._series("pressure_mmHg", "pressure"):
             series, v, mean = seen
             pulse = float(np.nanmax(series.value) - np.nanmin(series.value))
-            swing = float(np.ptp(study.inflow_ml_s)) * self.share[v.id]
+            swing = self.swing * self.share[v.id]
             speed = pulse * _MMHG * math.pi * v.radius_cm**2 / (study.blood.density_g_cm3 * swing or math.inf)
             words = "wave speed that the pulses of pressure and flow need"
             self.add("mean pressure", "mmHg", abs(mean), 2.5, 250, pressure=1)
