@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 DRAWS, TOLD, MOST = 400, 3e-3, 30
 """Draws of each set, the least probability of a set that is drawn from, and how many are at most."""
+PARTS = 16
+"""Parts in which draws of a set are taken back to their samples."""
 INTERVAL = (0.025, 0.975)
 """Probabilities at the ends of an interval."""
 
@@ -183,9 +185,12 @@ def discrepancies(drawn: CauseDraws) -> tuple[Discrepancy, Discrepancy]:
     errors, base = found.search.family.errors, found.search.fitting.start  # what a best fit misses
     residual = errors.unflat(found.search.data - base.computed)
     there = ~np.isnan(residual)
-    truth, weights = together(  # set by set: series with clocks of their own are mostly gaps
-        drawn.sets, lambda one: errors.unflat(one.computed + one.left - base.computed)[:, there]
-    )
+
+    def samples(coefficients: Array) -> Array:  # some at a time: series of their own clocks are mostly gaps
+        parts = np.array_split(coefficients, PARTS)
+        return np.concatenate([errors.unflat(part)[:, there] for part in parts])
+
+    truth, weights = together(drawn.sets, lambda one: samples(one.computed + one.left - base.computed))
     before = Discrepancy(truth, weights, residual)
     leader = next(one for one in drawn.sets if one.which == found.leader)
     if not found.leader:
@@ -193,5 +198,5 @@ def discrepancies(drawn: CauseDraws) -> tuple[Discrepancy, Discrepancy]:
     point = leader.solved.point
     left = leader.computed + leader.left - point.computed
     residual = errors.unflat(found.search.data - point.computed)
-    after = Discrepancy(errors.unflat(left)[:, there], leader.weights, residual)
+    after = Discrepancy(samples(left), leader.weights, residual)
     return before, after

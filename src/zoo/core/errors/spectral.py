@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise, product
+from itertools import combinations_with_replacement, pairwise
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -587,19 +587,21 @@ class Uneven(Spectral):
     def _mixing(self) -> dict[tuple[int, int], Array]:
         """G_i G_j, element by element, of each pair of clocks of one group."""
         own = [g for _, g in self._bases]
-        pairs = {
-            pair for rows in self.rows.values() for pair in product(self._clocks[1][rows].tolist(), repeat=2)
-        }
+        pairs = {pair for rows in self.rows.values() for pair in self._pairs(rows)}
         least = {(i, j): min(len(own[i]), len(own[j])) for i, j in pairs}
         return {(i, j): own[i][:m, :m] * own[j][:m, :m] for (i, j), m in least.items()}
+
+    def _pairs(self, rows: list[int]) -> list[tuple[int, int]]:
+        """Pairs of the clocks of some series, each once, in their order."""
+        return list(combinations_with_replacement(sorted(set(self._clocks[1][rows].tolist())), 2))
 
     def process(self, spectrum: Array, group: str, shared: float = 0.0) -> Array:
         """Variances (n_series of the group, n_times) of a process of sd 1, its correlation between series."""
         clocks, rows = self._clocks[1], self.rows[group]
         mixed = {
-            pair: mixing @ spectrum[: mixing.shape[1]]
-            for pair, mixing in self._mixing.items()
-            if shared or pair[0] == pair[1]
+            (i, j): (mixing := self._mixing[i, j]) @ spectrum[: mixing.shape[1]]
+            for i, j in self._pairs(rows)
+            if shared or i == j
         }
         size = {i: math.sqrt(mixed[i, i].mean()) for i in set(clocks[rows].tolist())}
         found = np.zeros((self.on.n_series, self.n))
@@ -607,7 +609,7 @@ class Uneven(Spectral):
             for a, i in enumerate(own if own[0] in rows else ()):
                 for b, j in enumerate(own):
                     if i == j or shared:
-                        pair = int(clocks[i]), int(clocks[j])
+                        pair = min(clocks[i], clocks[j]), max(clocks[i], clocks[j])
                         both = mixed[pair][part] / (size[pair[0]] * size[pair[1]])
                         found[own, part] += np.outer(turn[:, a] * turn[:, b], both * (i == j or shared))
         return found[rows]
