@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import resource
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.nature import CASES, GROUPS, DataError, __doc__, data_file, durance, list_digest, pig_aorta
-from benchmarks.nature.falling_balls import diagnose_air, diagnose_ball, read_drops
+from benchmarks.nature.falling_balls import (
+    diagnose_air,
+    diagnose_ball,
+    diagnose_population,
+    own_coefficient,
+    read_areas_per_mass,
+    read_drops,
+)
 from examples import tanks as two_tanks
 from matplotlib.figure import Figure
 
@@ -122,6 +130,25 @@ def air(asked: argparse.Namespace) -> None:
         )
 
 
+def population(asked: argparse.Namespace) -> None:
+    """The first drop of every ball, all together: causes that act on all, of one size."""
+    path = data_file("falling-balls")
+    drops = {ball: every[0] for ball, every in read_drops(path).items()}
+    areas = read_areas_per_mass(path.parent / "balls.csv")
+    found = diagnose_population(drops, areas)
+    print(found)
+    print("| cause | probability | size |\n|---|---|---|")
+    for cause in found.causes:
+        told = ", ".join(f"{one.mean:.3g} ± {one.sd:.2g} {one.unit}" for one in cause.estimates)
+        print(f"| {cause.name} | {cause.probability:.1%} | {told} |")
+    print("| ball | m before | m after | coefficient of its own |\n|---|---|---|---|")
+    for (ball, drop), one in zip(drops.items(), found.file.gap.per_series, strict=True):
+        own = own_coefficient(drop, areas[ball])
+        print(f"| {ball} | {one.before.mean:.2f} | {one.after.mean:.2f} | {own:.2f} |")
+    told, most = found.file.record, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    print(f"{told['solves']} solves of a ball, {told['seconds']:.0f} s, {most:.2f} GiB")
+
+
 def river(asked: argparse.Namespace) -> None:
     """The Durance, and its snow beside the satellites'."""
     catchment = durance.Catchment.read(data_file("durance").parent)
@@ -154,7 +181,14 @@ def tanks(asked: argparse.Namespace) -> None:
         two_tanks.figure(found, record, asked.figures / "nature-cascaded-tanks.png")
 
 
-ANSWERS = {"falling-balls": balls, "air": air, "durance": river, "pig-aorta": pig, "cascaded-tanks": tanks}
+ANSWERS = {
+    "falling-balls": balls,
+    "population": population,
+    "air": air,
+    "durance": river,
+    "pig-aorta": pig,
+    "cascaded-tanks": tanks,
+}
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ Prior sizes are from physics and from what an observer can be off by, and were c
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 import pandas as pd
 from benchmarks.nature import Parameters, rival
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 import zoo
 from zoo.core.diagnosis import Diagnosis
@@ -21,6 +23,8 @@ Array = NDArray[np.float64]
 GRAVITY = 9.81  # m/s2
 STEP = 1.0 / 150.0  # s
 TALL = 48.0  # m, to scale what depends on height
+AIR_DENSITY = 1.2  # kg/m3
+VOLLEYBALL = (270.0, 66.0)  # g, cm: not recorded, in the middle of what the FIVB's rules allow
 
 
 def fall(c: Parameters, times: Array) -> Array:
@@ -80,6 +84,7 @@ RIVALS = [
     rival("tracker-lag", "lag", "s", 0.07),  # a frame
     rival("bounce", "rebound", "1", 0.5, 0.0),
 ]
+DRAG_BY_MASS = rival("mass-dependent-drag", "drag_coefficient", "1", 0.5, 0.0)  # some 0.5 for a sphere
 PRIORS = {
     "height": zoo.Parameter("height", zoo.Normal(47.0, 3.0), "m"),
     "speed": zoo.Parameter("speed", zoo.Normal(0.0, 1.0), "m/s"),
@@ -94,6 +99,46 @@ def read_drops(path: Path) -> dict[str, list[tuple[Array, Array]]]:
         t, h = part["time_s"].to_numpy(), part["height_m"].to_numpy()
         drops.setdefault(ball, []).append((np.linspace(t[0], t[-1], len(t)), h))
     return drops
+
+
+def read_areas_per_mass(path: Path) -> dict[str, float]:
+    """Cross section over mass of each ball in m2/kg."""
+    table = pd.read_csv(path, index_col="ball")
+    table.loc["volleyball"] = VOLLEYBALL
+    areas = (1e-2 * table["circumference_cm"]) ** 2 / (4.0 * np.pi) / (1e-3 * table["mass_g"])
+    return {str(ball): float(area) for ball, area in areas.items()}
+
+
+def falling(area_per_mass: float) -> Callable[[Parameters, Array], Array]:
+    """`fall` of a ball that air of one drag coefficient slows down by its area over its mass, m2/kg."""
+
+    def simulate(c: Parameters, times: Array) -> Array:
+        drag = 0.5 * AIR_DENSITY * area_per_mass * c.get("drag_coefficient", 0.0)
+        return fall({**c, "quadratic": c.get("quadratic", 0.0) + drag}, times)
+
+    return simulate
+
+
+def diagnose_population(
+    drops: Mapping[str, tuple[Array, Array]], areas_per_mass: Mapping[str, float]
+) -> Diagnosis:
+    """A drop of each ball, all together: what is missing is missing in all, with one size."""
+    balls = {ball: (*drop, falling(areas_per_mass[ball])) for ball, drop in drops.items()}
+    return zoo.diagnose(balls, PRIORS, [*RIVALS, DRAG_BY_MASS], labels=["height"], units=["m"])
+
+
+def own_coefficient(drop: tuple[Array, Array], area_per_mass: float) -> float:
+    """Drag coefficient of one ball by least squares beside its priors, with 0.07 m as noise."""
+    simulate, (times, heights) = falling(area_per_mass), drop
+    names = [*PRIORS, "drag_coefficient"]
+    centre = np.array([p.prior.median for p in PRIORS.values()])
+    sd = np.array([p.prior.sd for p in PRIORS.values()])
+
+    def left(x: Array) -> Array:
+        seen = simulate(dict(zip(names, x, strict=True)), times)
+        return np.concatenate([(seen - heights) / 0.07, (x[:-1] - centre) / sd])
+
+    return float(least_squares(left, [*centre, 0.45], x_scale=[*sd / 3, 0.1], diff_step=1e-4).x[-1])
 
 
 AIR = zoo.free_function("air", along="speed", size=5.0, unit="m/s2", along_unit="m/s")
