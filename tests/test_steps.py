@@ -227,6 +227,7 @@ def test_a_jump_is_along_the_difference_of_two_past_points(monkeypatch):
     """2.38/sqrt(2 d) of it (ter Braak and Vrugt 2008), here in the values of the constrained variables."""
     past = np.array([[0.3, -0.2, 0.1], [0.1, 0.4, -0.3]])
     step = DEMetropolisZ(model=leaning_model(), constrained=0.999, archive=past)
+    step.rng = np.random.default_rng(3)
     space, here, jumps = step._spaces[1], np.array([0.2, 0.1, -0.5]), []
 
     def take(q0, q, space, log_proposals):
