@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -126,6 +127,13 @@ def test_other_priors_leave_the_solutions_as_they_are() -> None:
 
 
 # -- what a simulator of one's own may have wrong ---------------------------------------------------
+
+
+def test_a_parameter_that_the_model_does_not_use_is_named() -> None:
+    model = model_of(Uniform(0.05, 2.0))
+    idle = replace(model, parameters=(*model.parameters, Parameter("idle", Uniform(0.0, 1.0))))
+    with pytest.raises(DiagnosisError, match="cooling: its series do not depend on idle: leave it out"):
+        diagnose(measured(), idle, [drift], errors=Cosines())
 
 
 @pytest.mark.filterwarnings("ignore:effect drift")

@@ -162,19 +162,23 @@ class Fitting:
         return np.asarray(low + (high - low) * (0.5 + CENTRAL * (q - 0.5)))
 
     def _told(self, point: Point) -> bool:
-        """Whether series and priors tell all parameters, but for those that change no series."""
+        """Whether series and priors tell all parameters."""
         units = self.forward.units
         J = point.jacobian * units / np.sqrt(self._loose)[:, None]
         H = J.T @ J + as_matrix(self.forward.prior(point.u)[0]) * np.outer(units, units)
         size = np.sqrt(np.diag(H))
-        H, size = H[np.ix_(size > 0.0, size > 0.0)], size[size > 0.0]
-        return bool(np.all(np.linalg.eigvalsh(H / np.outer(size, size)) > SINGULAR))
+        return bool(np.all(size > 0.0) and np.linalg.eigvalsh(H / np.outer(size, size))[0] > SINGULAR)
 
     def _not_told(self, search: Search[SearchModel], u: Array) -> str:
-        """Which parameters the series do not tell from each other."""
+        """Which parameters the series do not tell."""
         J = search.at(u).jacobian * self.forward.units
-        read = np.any(J, axis=0)
-        J, names = J[:, read], [p.name for p, any_ in zip(self.forward.parameters, read, strict=True) if any_]
+        names = [p.name for p in self.forward.parameters]
+        unused = [name for name, size in zip(names, np.abs(J).max(axis=0), strict=True) if size == 0.0]
+        if unused:
+            return (
+                f"{self.baseline.name}: its series do not depend on {', '.join(unused)}: leave "
+                f"{'it' if len(unused) == 1 else 'them'} out of the model's parameters, or correct the model"
+            )
         weak = np.linalg.svd(J / np.linalg.norm(J, axis=0))[2][-1]
         alike = [name for name, part in zip(names, weak, strict=True) if abs(part) > ALIKE]
         return (

@@ -26,7 +26,7 @@ from zoo.core.diagnosis.coordinates import SearchModel
 from zoo.core.diagnosis.fitting import Fitting
 from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.responses import Origin, Response, free_causes, listed_causes
-from zoo.core.diagnosis.search import NO_DAMPING, Point, Search, SearchError, as_matrix
+from zoo.core.diagnosis.search import NO_DAMPING, Point, Search, SearchError
 from zoo.core.diagnosis.solved import Linear, SolvedSet, Which, places, tangents
 from zoo.core.effects import Effect
 from zoo.core.forward import Corrected, SolveError, pinned
@@ -45,8 +45,6 @@ NEARER = (1.0, 0.5, 0.2)
 """Parts of the linear model's step from which a descent begins."""
 NEAR = 15.0
 """Log evidence behind the best solved set within which solves tell the linear model's error."""
-FLAT = 1e-8
-"""Precision of a flat prior's normal distribution, in parts of one over the square of its width."""
 PROMISED = 1.0
 """Gain of the log posterior that a linearisation may promise unchecked; above it, a solve is what counts,
 and a set is sought again."""
@@ -194,11 +192,7 @@ class CauseSearch:
     @staticmethod
     def _problem(forward: SearchModel, u: Array, residual: Array, jacobian: Array) -> Problem:
         bounds = forward.low - u, forward.high - u
-        precision, pull = forward.prior(u)
-        # a flat prior as a normal one far wider than its bounds: it stays one where no series narrows it
-        flat = np.where(np.diag(as_matrix(precision)) > 0.0, 0.0, FLAT / (bounds[1] - bounds[0]) ** 2)
-        precision = precision + (flat if precision.ndim == 1 else np.diag(flat))
-        return Problem(residual, jacobian, precision, pull, forward.log_prior(u), *bounds)
+        return Problem(residual, jacobian, *forward.prior(u), forward.log_prior(u), *bounds)
 
     def _nothing(self) -> SolvedSet:
         """The baseline at its best fit, with no cause."""
