@@ -21,7 +21,7 @@ OFF = 3e-5
 
 
 def additions(case: Case) -> tuple[object, ...]:
-    """What a case has and another may lack: waves, settings, functions, and terms in each of the vessels."""
+    """What a case has and another may lack: waves, settings, responses, functions, terms in each vessel."""
 
     def there(term: Any) -> object:
         if isinstance(term, np.ndarray):
@@ -29,7 +29,8 @@ def additions(case: Case) -> tuple[object, ...]:
         return getattr(term, "changes", None)
 
     terms = (there(getattr(case.physics, f.name)) for f in fields(case.physics))
-    return bool(case.waves), case.options, case.conventions, *terms
+    response = there(case.network.response_cosine)
+    return bool(case.waves), case.options, case.conventions, response, *terms
 
 
 def off_zero(configure: Callable[[Array], Case], case: Case, theta: Array, scales: Array) -> Array:
