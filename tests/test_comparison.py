@@ -36,6 +36,12 @@ from zoo.core.posterior.comparison import (
 )
 from zoo.models import get_model
 
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:For one or more samples the posterior variance",
+    "ignore:Estimated shape parameter of Pareto",
+    "ignore:The inplace keyword in DataFrame.sort_values",
+)
+
 CENTRE = {"f3": 5e4, "psi1": 0.3, "psi2": 0.9, "c": 1.2, "sigma2": 0.0025, "w": 5e4, "b": 100.0}
 
 

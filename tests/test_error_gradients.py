@@ -206,6 +206,7 @@ def wave_model(parameters: tuple[Parameter, ...]) -> pm.Model:
 
 # gradients are compared with differences above, moments with an analytic law in test_nuts.py
 @pytest.mark.nightly
+@pytest.mark.filterwarnings("ignore")
 def test_nuts_has_the_moments_of_the_exact_sampler() -> None:
     model = wave_model((*POPULATION, LEVEL))
     settings: dict[str, Any] = {"chains": 2, "cores": 0, "progress": False}

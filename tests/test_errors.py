@@ -47,6 +47,12 @@ from zoo.core.posterior.comparison import compare, log_likelihoods, loo_pit
 
 Array = NDArray[np.float64]
 
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:For one or more samples the posterior variance",
+    "ignore:Estimated shape parameter of Pareto",
+    "ignore:The inplace keyword in DataFrame.sort_values",
+)
+
 N_SERIES, N_TIMES = 3, 14
 SCALE = LogUniform(1e-3, 1e2)
 

@@ -27,6 +27,11 @@ from zoo.core.errors.gaussian_process import (
 from zoo.core.errors.variables import Errors, ErrorTermsOp, IidErrors
 from zoo.core.parameters import LogUniform
 
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:For one or more samples the posterior variance",
+    "ignore:The inplace keyword in DataFrame.sort_values",
+)
+
 PERIOD_S = 0.11
 TIME_S = (np.arange(40) + 0.5) * PERIOD_S / 40
 W, B = 5.4e4, 137.0

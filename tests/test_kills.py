@@ -26,6 +26,7 @@ from zoo.core.inference.record import RunRecord
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are looked up in /proc"),
+    pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning"),
 ]
 CHAINS: dict[str, Any] = {"tune": 600, "chains": 2, "seed": 31, "progress": False}
 KILLS = {"inline": 2, "processes": 2, "nuts": 2}

@@ -28,6 +28,11 @@ from zoo.core.model import ModelError
 from zoo.core.parameters import LogUniform, pack
 from zoo.models import MODELS, PAPER, get_model, suggested
 
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:For one or more samples the posterior variance",
+    "ignore:The inplace keyword in DataFrame.sort_values",
+)
+
 # Table 2 of Paun et al. 2020: wall, error, bounds of the uniform priors, bounds of the log-uniform ones
 SCALES = {"psi1": (0.05, 2.5), "psi2": (0.05, 2.5), "c": (0.05, 2.5)}
 CONSTANT = {"f3": (2e4, 1e5)}

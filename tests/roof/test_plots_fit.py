@@ -14,6 +14,8 @@ from zoo import plots
 from zoo.core.arviz_lines import of_draws
 from zoo.core.outputs import OutputFileError
 
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
+
 
 def test_fit_shows_data_median_bands_and_residual(tube):
     rng = np.random.default_rng(1)

@@ -13,6 +13,8 @@ from zoo import plots
 from zoo.blood.predictive import bands, median_waves
 from zoo.plots import waves as vessels
 
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
+
 
 @pytest.mark.parametrize(("n", "lines"), [(2, 6), (12, 12)])
 def test_waves_draw_every_vessel(tube, n, lines):

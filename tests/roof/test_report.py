@@ -32,6 +32,8 @@ from zoo.core.posterior.storage import save_posterior, slim_posterior
 from zoo.models import get_model
 from zoo.report.sentences import summary
 
+pytestmark = pytest.mark.filterwarnings("ignore::UserWarning", "ignore::DeprecationWarning")
+
 Models = dict[str, pm.Model]
 Posteriors = dict[str, InferenceData]
 CENTRE = {"f3": 5e4, "psi1": 0.3, "psi2": 0.9, "c": 1.2, "sigma2": 0.0025, "w": 5e4, "b": 100.0}
