@@ -392,6 +392,16 @@ def test_what_cannot_be_taken_as_one_is_told(given: Any, settings: Any, told: st
         zoo.diagnose(given, PRIORS, EFFECTS, progress=False, **settings)
 
 
+def test_experiments_are_lists_with_labels_and_periods_as_records_alone_have_them() -> None:
+    t = np.sort(np.random.default_rng(0).uniform(0.0, 2.0 * np.pi, 30))
+    record = [t, 1.0 + np.cos(t), lambda c, t: c["level"] + np.cos(t)]
+    settings: Any = {"labels": ["out/in"], "period": 2.0 * np.pi, "progress": False, "share": ["level"]}
+    found = zoo.diagnose([record, record], {"level": zoo.Normal(0, 5)}, noise={"out/in": 0.1}, **settings)
+    assert found.data.labels == ("1/out/in", "2/out/in")
+    assert found.data.period == pytest.approx(2.0 * np.pi)
+    assert found.file.record["noise"] == pytest.approx({"out/in": 0.1}, rel=0.5)
+
+
 def test_shared_parameters_are_of_one_prior() -> None:
     other = model_of("fast", {**PRIORS, "slope": zoo.Normal(0.5, 3.0)})
     with pytest.raises(

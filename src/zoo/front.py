@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence, Sized
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict, Unpack, overload
@@ -157,7 +157,7 @@ def diagnose(*arguments: Any, **settings: Any) -> Any:
         diagnose([study, study, ...], base, share=[...])        several together
 
     Of several experiments a cause acts in all, with one size, and there is one posterior over sets of causes
-    given all of them. A quantity has one noise in all, unless `errors` states that of "name/series".
+    given all of them. A quantity has one noise in all, unless `noise` states that of "name/series".
 
     Parameters
     ----------
@@ -270,8 +270,10 @@ def diagnose(*arguments: Any, **settings: Any) -> Any:
     first = arguments[0] if arguments else next((settings[one] for one in kinds if one in settings), None)
     function: Any = _diagnose_data if isinstance(first, Data) else _diagnose_series
     items = [*first] if isinstance(first, list | tuple) else []
-    pairs = (one for one in items if isinstance(one, tuple))
-    if isinstance(first, Mapping) or any(callable(x) or np.ndim(x) for pair in pairs for x in pair):
+    listed = [one for one in items if isinstance(one, list | tuple)]
+    pairs = [one for one in listed if isinstance(one, tuple)]
+    holds = any(callable(x) for one in listed for x in one)
+    if isinstance(first, Mapping) or holds or any(isinstance(x, Sized) for one in pairs for x in one):
         function = _diagnose_experiments
     known = [*inspect.signature(function).parameters, *inspect.signature(diagnosis.diagnose).parameters]
     if isinstance(first, str | Study):
@@ -331,10 +333,11 @@ def _diagnose_experiments(
     bound = _bound_all(_records("experiments", experiments), as_parameters(priors), labels, units, period)
     models = {one.data.name: _at_given_times(one.data, one.model) for one in bound}
     known = errors.known if isinstance(errors, Spectral) else noise if isinstance(noise, Mapping) else ()
-    own_noise = any("/" in group for group in known)
+    own_noise = any(group.split("/")[0] in models for group in known)
     several = Experiments(models, {one.data.name: one.data for one in bound}, share, own_noise)
     hooks = hooks or Hooks()
-    hooks = replace(hooks, about=several.about(hooks.about if isinstance(hooks.about, str) else ""))
+    if isinstance(hooks.about, str):
+        hooks = replace(hooks, about=several.about(hooks.about))
     return _diagnose_data(several.data, several, effects, hooks=hooks, errors=errors, noise=noise, **settings)
 
 
@@ -358,13 +361,20 @@ def _bound_all(
     period: float | None,
 ) -> list[OtherState]:
     """Several records with their simulators; one that repeats itself covers its own period once."""
-    found = []
-    for name, record in records.items():
-        every: Any = record[0]
-        clock = np.asarray(every[0] if own_clocks(every) else every)
-        own = None if period is None else len(clock) * float(np.min(np.diff(clock)))
-        found.append(_bound(name, record, parameters, labels, units, own))
-    return found
+    return [
+        _bound(name, record, parameters, labels, units, _own_period(record[0], period))
+        for name, record in records.items()
+    ]
+
+
+def _own_period(times: Any, period: float | None) -> float | None:
+    """What a record of even steps covers; else the period that is given."""
+    try:
+        steps = np.diff(np.asarray(times[0] if own_clocks(times) else times, dtype=np.float64))
+    except (TypeError, ValueError):  # which is told where the times are taken
+        return period
+    even = period is not None and steps.ndim == 1 and steps.size and np.allclose(steps, steps[0])
+    return float((len(steps) + 1) * steps[0]) if even else period
 
 
 def _bound(

@@ -383,8 +383,7 @@ def diagnose_studies(
     share : iterable of str
         Parameters that are one for all; the others are of each study, with its own prior.
     effects : iterable of str or Effect, optional
-        Only these; all of the catalogue that can act in every study if absent. Sizes in parts of the beat are
-        so in each.
+        Only these; all of the catalogue that can act in every study if absent. A size in s is one in all.
     conventions, options, priors, fixed, component_sizes, **settings
         As in `diagnose`.
 
@@ -442,10 +441,14 @@ def diagnose_studies(
         labels={**HOOKS.labels, **labels},
         components=own and functions,
     )
+    acting = [one for one in listed if one.locations(several)]
+    if effects is not None and len(acting) < len(listed):
+        nowhere = ", ".join(one.name for one in listed if one not in acting)
+        raise EffectError(f"effects: {nowhere}: no place where all studies have it; leave it out")
     found = diagnose_data(
         several.data,
         several,
-        [one for one in listed if one.locations(several)],
+        acting,
         errors=replace(spectral_errors(several.data), known=known),
         hooks=hooks,
         **settings,

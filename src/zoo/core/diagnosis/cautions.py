@@ -93,7 +93,7 @@ def rounded(found: CauseSets, file: DiagnosisFile) -> list[str]:
     return [
         f"the simulator gives whole numbers for {one.series}, within 1 of the data: if it rounds, "
         "small steps of its parameters change nothing or too much; let it return what it computes"
-        for one, row in zip(file.gap.per_series, [] if series is None else series, strict=False)
+        for one, row in zip(file.gap.per_series, () if series is None else series, strict=False)
         if np.ptp(row) > 0.0 and np.all(row == np.rint(row)) and one.residual_rms_before < 1.0
     ]
 
