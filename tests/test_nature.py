@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+import json
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pandas as pd
 import pytest
 from benchmarks.nature import CASES, durance, falling_balls, pig_aorta
+from benchmarks.nature.other_tools import Record, Series
+from benchmarks.nature.other_tools import __main__ as other_tools
+from benchmarks.nature.other_tools.gaussian_process import fit_jointly
 from benchmarks.nature.scoring import Case, even, score
 
 import tanks
+import zoo
 
 OURS = {
     "durance": durance.RIVALS,
@@ -103,3 +113,42 @@ def test_what_is_no_probability_is_refused(stated: dict[tuple[str, ...], float],
     with pytest.raises(ValueError, match=said):
         score(lambda _: stated, [case(())])
     assert sum(even(case(())).values()) == pytest.approx(1.0)
+
+
+def test_the_page_has_the_tables_of_other_tools_as_they_were_stored() -> None:
+    page = Path(__file__).parents[1] / "docs" / "nature.md"
+    assert other_tools.tables(json.loads(other_tools.RESULTS.read_text("utf-8"))) in page.read_text("utf-8")
+
+
+def test_a_tool_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pysindy", None)
+    monkeypatch.delitem(sys.modules, "benchmarks.nature.other_tools.residual_sindy", raising=False)
+    with pytest.raises(SystemExit, match=r"pysindy is not installed, .*pip install .*requirements.txt"):
+        other_tools.main(["--tools", "residual_sindy"])
+
+
+def test_the_joint_fit_of_a_gaussian_process_is_that_of_linear_algebra() -> None:
+    """For a linear simulator: generalized least squares, and kriging of what is left, by Matern's formula."""
+    t, later = np.linspace(0.0, 1.0, 30), np.linspace(0.02, 1.1, 17)
+    priors = {name: zoo.Parameter(name, zoo.Normal(1.0, 2.0)) for name in "ab"}
+
+    def line(c: Mapping[str, Any], at: np.ndarray) -> np.ndarray:
+        return np.asarray(c["a"] + c["b"] * at)
+
+    y = 2.0 + 3.0 * t + 0.5 * np.sin(6.0 * t) + 0.05 * np.random.default_rng(1).standard_normal(30)
+    first, second = (Series(x, y, line, lambda _, x=x: x[:, None]) for x in (t, later))
+    record = Record("line", "1", first, second, priors, ("time",), y, True, lambda: y)
+    mode, conditional = fit_jointly(record)
+    size, length, noise = (float(np.squeeze(mode[name])) for name in ("delta", "lengths", "noise"))
+
+    def matern(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        d = np.sqrt(5.0) * np.abs(a[:, None] - b[None, :]) / (length * t.std())
+        return np.asarray(size**2 * (1.0 + d + d**2 / 3.0) * np.exp(-d))
+
+    weight = np.linalg.inv(matern(t, t) + noise**2 * np.eye(30))
+    slopes = 2.0 * np.column_stack([np.ones(30), t])  # along standard normal quantiles of the priors
+    left = y - (1.0 + t)
+    u = np.linalg.solve(slopes.T @ weight @ slopes + np.eye(2), slopes.T @ weight @ left)
+    assert [float(mode["a"]), float(mode["b"])] == pytest.approx(u, abs=2e-3)
+    at_mode = left - slopes @ [mode["a"], mode["b"]]
+    np.testing.assert_allclose(conditional(y), matern(later, t) @ weight @ at_mode, atol=1e-4)

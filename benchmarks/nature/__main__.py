@@ -68,18 +68,29 @@ def _row(found: Diagnosis, name: str, known: str, asked: str) -> str:
     )
 
 
+def learned(found: Diagnosis) -> str:
+    """Name of what leads, or of the first cause if nothing does, among series of the first state held out."""
+    state, leader = found.states[0], found.file.sets[0]
+    fixed = next(
+        (k for k, one in enumerate(state.file.carried) if set(one.names) == set(leader.components)), 0
+    )
+    return [name for name in state.computed if name not in (BASELINE, SEEN)][fixed]
+
+
 def draw(found: Diagnosis, path: Path | None, time_unit: str = "s") -> None:
     """The record that was fitted and one that was not, by the base and with the leading causes."""
     if path is None:
         return
     path.parent.mkdir(parents=True, exist_ok=True)
     state, data = found.states[0], found.data
-    leader = set(next(row.components for row in found.file.sets if row.causes == found.cause))
-    fixed = next((k for k, one in enumerate(state.file.carried) if set(one.names) == leader), 0)
-    learned = [name for name in state.computed if name not in (BASELINE, SEEN)][fixed]
     pairs = [
         (f"{data.labels[0]}, fitted", data, *found.computed),
-        (f"{state.file.state}, not fitted", state.data, state.computed[BASELINE], state.computed[learned]),
+        (
+            f"{state.file.state}, not fitted",
+            state.data,
+            state.computed[BASELINE],
+            state.computed[learned(found)],
+        ),
     ]
     figure = Figure(figsize=(8.0, 3.0), layout="constrained")
     for axes, (title, seen, base, best) in zip(figure.subplots(1, 2), pairs, strict=True):
