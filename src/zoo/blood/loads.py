@@ -101,11 +101,7 @@ def with_more_impedance(case: Case, more: ArrayLike) -> Case:
         With other responses in its network.
     """
     network, ends = case.network, case.network.terminals
-    added = np.zeros((2, len(network.ids), np.shape(more)[-1]))
-    added[:, ends] = np.array(response_of(more, network.period_s)) / case.psi1[ends, None]
-    if network.response_cosine is not None and network.response_sine is not None:
-        own = np.array([network.response_cosine, network.response_sine])
-        width = max(own.shape[-1], added.shape[-1])
-        own, added = (np.pad(one, ((0, 0), (0, 0), (0, width - one.shape[-1]))) for one in (own, added))
-        added += own
-    return replace(case, network=replace(network, response_cosine=added[0], response_sine=added[1]))
+    n = np.shape(more)[-1]
+    cosine, sine = responses = network.responses(n)
+    responses[:, ends, :n] += np.array(response_of(more, network.period_s)) / case.psi1[ends, None]
+    return replace(case, network=replace(network, response_cosine=cosine, response_sine=sine))

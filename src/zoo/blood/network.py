@@ -258,9 +258,7 @@ class Network(ReadOnlyArrays):
         if not tables:
             return self
         loads = np.array([self.R1, self.R2, self.C])
-        old = [np.zeros((len(self.ids), 0)) if one is None else one for one in self._responses]
-        width = max(old[0].shape[1], *map(len, tables.values()))
-        responses = np.array([np.pad(one, ((0, 0), (0, width - one.shape[1]))) for one in old])
+        responses = self.responses(max(map(len, tables.values())))
         for i, Z in tables.items():
             loads[:, i], *response = circuit_of(Z, self.period_s)
             responses[:, i] = 0.0
@@ -298,6 +296,11 @@ class Network(ReadOnlyArrays):
         if self.trees is None:
             return self
         return self.with_impedances([tree and tree.scaled(factors) for tree in self.trees])
+
+    def responses(self, width: int) -> Array:
+        """`response_cosine` and `response_sine`, (2, n, m), m at least `width`; 0 where there are none."""
+        own = [np.zeros((len(self.ids), 0)) if one is None else one for one in self._responses]
+        return np.array([np.pad(one, ((0, 0), (0, max(0, width - one.shape[1])))) for one in own])
 
     @property
     def _responses(self) -> list[Array | None]:
